@@ -57,6 +57,7 @@ WORKERS = click.IntRange(1, 1024)
 @options.flag("--no-color", "Those arrays alone: no image is made, which is most of the work.")
 @options.types_option
 @option("--split splits", "NAME=SHARE,...", "Such as train=0.9,test=0.1.")
+@option("--split-by", "KEY", "Parameter of samples; those with equal values share a split.", default="")
 @option(
     "--device devices", "NAME", "Where to render; may be given again. all: all devices of the best kind.", multiple=True
 )
@@ -109,7 +110,7 @@ def _dry_run(distribution: Path, out: str, samples: range, arrays: tuple[str, ..
     from clsco.data.distribution import load_distribution
     from clsco.data.dryrun import dry_run
 
-    drawn = load_distribution(distribution, values["overrides"], values["splits"])
+    drawn = load_distribution(distribution, values["overrides"], values["splits"], split_by=values["split_by"])
     sheet = Path("dry_run.png" if "://" in out else f"{out.rstrip('/')}_dry_run.png")
     forecast = dry_run(drawn, values["seed"], len(samples), arrays=arrays, sheet_path=sheet)
     print_dry_run(forecast)
@@ -278,5 +279,4 @@ def convert(data: str, out: str, form: str, resume: bool, quiet: bool) -> None:
         _, status = convert_set(
             source, target, form, resume, lambda count: stack.enter_context(progress(count, quiet, "shards"))
         )
-    place = click.format_filename(out)
-    echo(f"{place}: {status.made} samples in {len(status.done)} shards, {status.failed} failed, as {form}")
+    echo(f"{_line(out, status)}, as {form}")

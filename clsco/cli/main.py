@@ -5,6 +5,7 @@ Exit status: 0 done; 1 a user's error, one line on stderr; 2 wrong usage; 3 no d
 
 from __future__ import annotations
 
+import errno
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -96,7 +97,9 @@ def _ending(error: BaseException, signals: Sequence[int]) -> tuple[list[str], in
     if isinstance(error, MemoryError):
         return ["error: memory: must hold the arrays of the scene; got too little of it"], USER_ERROR
     if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
-        return [f"error: {error.filename or 'output'}: must be writable; got {error.strerror}"], USER_ERROR
+        opens = error.errno in (errno.EMFILE, errno.ENFILE)
+        rule = "ulimit -n: must allow more open files" if opens else f"{error.filename or 'output'}: must be writable"
+        return [f"error: {rule}; got {error.strerror}"], USER_ERROR
     if isinstance(error, ClscoError):
         messages = error.messages if isinstance(error, SceneError) else (str(error),)
         status = NO_DEVICE if isinstance(error, DeviceError) else USER_ERROR

@@ -28,9 +28,8 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], rig
         body.add_column(Text(name), justify="right" if name in right else "left", overflow="fold")
     for row in rows:
         body.add_row(*(Text(visible(cell)) for cell in row))
-    return Group(
-        Text(visible(title), no_wrap=True, overflow="ignore", style="italic"), body
-    )  # rich would wrap the title of a table
+    heading = Text(visible(title), no_wrap=True, overflow="ignore", style="italic")  # a table's title would be wrapped
+    return Group(heading, body)
 
 
 def inpaint_tables(report: Report) -> list[RenderableType]:
@@ -55,16 +54,13 @@ def device_tables(
     devices: Sequence[Device], used: Device | None, checks: Mapping[Device, Sequence[Check]]
 ) -> list[RenderableType]:
     """Tables of devices and their features, and of the results of self-tests if they ran."""
-
-    def yes(has: bool) -> str:
-        return "yes" if has else "no"
-
+    yes = {True: "yes", False: "no"}
     columns = ("", "device", "platform", "kind", "units", "memory", "double", "64-bit atomics", "exact division")
     rows = [
         (
             "*" if device == used else "", device.name, f"{device.platform} {device.driver}", device.kind,
-            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes(device.has_fp64),
-            yes(device.has_int64_atomics), yes(device.correctly_rounded),
+            f"{device.compute_units}", f"{device.global_mem / 2**30:.1f} GiB", yes[device.has_fp64],
+            yes[device.has_int64_atomics], yes[device.correctly_rounded],
         )
         for device in devices
     ]  # fmt: skip
@@ -84,8 +80,8 @@ def print_tables(*things: RenderableType) -> None:
     Console(width=width, markup=False, highlight=False, emoji=False).print(*shown, sep="\n", crop=False)
 
 
-def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
-    """Tables of a planned data set: parameters, measures of samples, size and time."""
+def print_dry_run(dry_run: DryRun) -> None:
+    """Print tables of a planned data set, messages of failed samples, and the path of the contact sheet."""
     accepted = dry_run.looked_at - len(dry_run.failed)
     tables: list[RenderableType] = [_summaries(f"Parameters of {accepted} samples", "parameter", dry_run.parameters)]
     if dry_run.splits:
@@ -108,12 +104,7 @@ def dry_run_tables(dry_run: DryRun) -> list[RenderableType]:
         tables.append(table("Size before compression", columns, sizes, columns[1:]))
     duration = "not known" if dry_run.seconds is None else format_seconds(dry_run.seconds)
     tables.append(table("Time", ("predicted", "from"), [(duration, dry_run.basis)]))
-    return tables
-
-
-def print_dry_run(dry_run: DryRun) -> None:
-    """Print `dry_run_tables`, messages of failed samples, and the path of the contact sheet."""
-    print_tables(*dry_run_tables(dry_run), *dry_run.failed)
+    print_tables(*tables, *dry_run.failed)
     if dry_run.sheet is not None:
         print_tables(f"{dry_run.sheet}: pictures of some samples")
 

@@ -61,7 +61,7 @@ class VariedKeys:
 class Reader:
     """Compiles the tables of a distribution, and lists all their faults."""
 
-    def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits) -> None:
+    def __init__(self, tables: DistributionTables, folder: Folder, splits: Splits | None) -> None:
         self.faults: list[str] = []
         self._tables, self._folder, self._splits = tables, folder, splits
         self._scene = copied(tables.scene)

@@ -12,6 +12,7 @@ from typing import Any
 
 from clsco.data.containers import CONTAINERS, container_named
 from clsco.data.creation import DistributionLike, Progress, make
+from clsco.data.failures import failure_of
 from clsco.data.manifest import part_bytes, part_key
 from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
@@ -21,15 +22,10 @@ from clsco.files.atomic import file_digests
 
 
 def remake(
-    data: str | os.PathLike[str],
-    out: str | os.PathLike[str] | None = None,
-    *,
-    distribution: DistributionLike | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    devices: str | Sequence[str] = (),
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> list[str]:
+    data: str | os.PathLike[str], out: str | os.PathLike[str] | None = None, *,
+    distribution: DistributionLike | None = None, folder: str | os.PathLike[str] | None = None,
+    devices: str | Sequence[str] = (), workers: int | None = None, progress: Progress | None = None,
+) -> list[str]:  # fmt: skip
     """Make a data set again from its card, and compare the bytes.
 
     Parameters
@@ -79,7 +75,7 @@ def remake(
             color="color" in identity.arrays, types=dict(identity.types), splits=identity.splits or None,
             format=identity.format, shard_size=identity.shard_size, precision=identity.precision, devices=devices,
             workers=workers, folder=folder, license=original.about.get("license", ""), progress=progress,
-            allow_failures=len(original.samples),
+            split_by=original.about.get("split_by", ""), allow_failures=len(original.samples),
         )  # fmt: skip
         remade = open_storage(target)
         stack.callback(remade.close)
@@ -127,7 +123,10 @@ def convert(
     left = [shard for shard in new_set.shards if shard not in done]
     advance = begin(len(left))
     for shard in left:
-        _convert_shard(source_set, new_set, shard)
+        try:
+            _convert_shard(source_set, new_set, shard)
+        except OSError as error:
+            raise FileError(failure_of(error, target.where)[1]) from error
         advance()
     return new_set, finish(new_set)
 
@@ -141,7 +140,7 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
         by_file.setdefault(row["file"], []).append(row)
     scratch, files = new_set.storage.scratch(), dict[str, Path]()
     described: dict[str, tuple[int, str]] = {}
-    for file, own in by_file.items():
+    for file, own in sorted(by_file.items(), key=lambda item: item[1][0]["split"]):  # the order of a made shard
         key = f"{file.removesuffix(old.suffix)}{new.suffix}"
         path, local = scratch / key.replace("/", "_"), source_set.storage.local(file)
         remove_path(path)

@@ -54,30 +54,14 @@ class Workers:
 
 
 def make(  # noqa: PLR0913, a parameter for each option
-    distribution: DistributionLike,
-    data: str | os.PathLike[str],
-    *,
-    count: int | None = None,
-    seed: int = 0,
-    truth: str | Iterable[str] = TRUTH,
-    color: bool = True,
-    types: str | Mapping[str, str] = "",
-    splits: SplitsLike = None,
-    format: str = DEFAULT,  # noqa: A002
-    shard_size: int = 256,
-    devices: str | Sequence[str] = (),
-    workers: int | None = None,
-    scheduler: str = "",
-    precision: str | None = None,
-    resume: bool = False,
-    only: range | None = None,
-    part: tuple[int, int] | None = None,
-    overrides: Sequence[str] = (),
-    folder: str | os.PathLike[str] | None = None,
-    license: str = "",  # noqa: A002
-    allow_failures: int = 0,
+    distribution: DistributionLike, data: str | os.PathLike[str], *, count: int | None = None, seed: int = 0,
+    truth: str | Iterable[str] = TRUTH, color: bool = True, types: str | Mapping[str, str] = "",
+    splits: SplitsLike = None, split_by: str = "", format: str = DEFAULT, shard_size: int = 256,  # noqa: A002
+    devices: str | Sequence[str] = (), workers: int | None = None, scheduler: str = "", precision: str | None = None,
+    resume: bool = False, only: range | None = None, part: tuple[int, int] | None = None, overrides: Sequence[str] = (),
+    folder: str | os.PathLike[str] | None = None, license: str = "", allow_failures: int = 0,  # noqa: A002
     progress: Progress | None = None,
-) -> Status:
+) -> Status:  # fmt: skip
     """Make a data set of scenes drawn from a distribution.
 
     Parameters
@@ -101,6 +85,8 @@ def make(  # noqa: PLR0913, a parameter for each option
         Stored type of each array: {"color": "float32"}, or "color=float32", stores linear radiance, not 16-bit codes.
     splits : str or mapping, optional
         Shares of the splits, such as {"train": 0.9, "test": 0.1} or "train=90,test=10".
+    split_by : str
+        Name of a parameter; samples with equal values of it are in the same split.
     format : str
         Format of the files: "webdataset", "npz", "hdf5" and so on, see docs/loading.md.
     shard_size : int
@@ -168,11 +154,11 @@ def make(  # noqa: PLR0913, a parameter for each option
     base = None if folder is None else Path(folder)
     drawn: Distribution | ScriptedDistribution
     if not callable(distribution):
-        drawn = load_distribution(distribution, overrides, splits, base)
+        drawn = load_distribution(distribution, overrides, splits, base, split_by)
     elif overrides:
         raise SceneError(f"overrides: are for files and their content, not for a function; got {overrides[0]}")
     else:
-        drawn = scripted(distribution, splits, base)
+        drawn = scripted(distribution, splits, base, split_by)
     text = types if isinstance(types, str) else ",".join(f"{name}={each}" for name, each in types.items())
     stored = tuple(sorted(parse_stored(text).items()))
     if scheduler:
@@ -260,7 +246,8 @@ def _make_shards(
     new = DataSet(storage, job.identity, job.samples)
     try:
         card = check_resumable(new, resume)
-        new.write({"license": license_text or card.get("license", ""), **job.distribution.about})
+        by = {"split_by": job.distribution.split_by} if job.distribution.split_by else {}
+        new.write({"license": license_text or card.get("license", ""), **job.distribution.about, **by})
         done = new.done(shards, storage.is_local, [])
         left = [shard for shard in shards if shard not in done]
         opened = nullcontext(lambda _: None) if progress is None else progress(sum(map(len, map(job.numbers, left))))

@@ -109,13 +109,9 @@ class Dataset(Sequence[Record]):
     """
 
     def __init__(
-        self,
-        card: dict[str, Any],
-        shards: _Shards,
-        names: frozenset[str] | None,
-        span: Sequence[int],
+        self, card: dict[str, Any], shards: _Shards, names: frozenset[str] | None, span: Sequence[int],
         functions: tuple[Callable[[Any], Any], ...] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.card = card
         self._shards, self._names, self._span, self._functions = shards, names, span, functions
 

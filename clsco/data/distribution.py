@@ -19,7 +19,7 @@ import numpy as np
 from clsco.data.acceptance import Bounds, UnfitError, bounds_of, refusal
 from clsco.data.build import Builder, corner_faults
 from clsco.data.compile import Parameter, Reader, VariedKeys
-from clsco.data.draws import MAX_SEED, Splits, SplitsLike, split_of, splits_of, stream_words
+from clsco.data.draws import MAX_SEED, Splits, SplitsLike, split_of, split_of_value, splits_of, stream_words
 from clsco.data.folder import Folder
 from clsco.data.tables import DistributionTables, as_json, read_tables
 from clsco.errors import ClscoError, SceneError
@@ -63,6 +63,7 @@ class _Distribution(ABC):
     where: str  # name of the file or function
     folder: Path  # base folder of relative paths, links resolved
     splits: Splits
+    split_by: str  # name of the parameter that decides the split of a sample; "" if its number does
 
     def draw(self, seed: int, number: int) -> Sample:
         """Draw a sample; seed: 0 to 2^64 - 1; number: 0 to 2^63 - 1.
@@ -73,10 +74,14 @@ class _Distribution(ABC):
         for name, value, most in (("seed", seed, MAX_SEED), ("number", number, MAX_NUMBER)):
             if type(value) is not int or not 0 <= value <= most:
                 raise SceneError(f"{name}: must be an integer between 0 and {most}; got {shown(value)}")
-        position = split_of(self.splits, seed, number)
+        position = 0 if self.split_by else split_of(self.splits, seed, number)
         noise_seed = int(stream_words(seed, number, "sensor.noise_seed", 1)[0]) % NOISE_SEEDS
         try:
             drawn = self._draw(seed, number, position, noise_seed)
+            if self.split_by:
+                if not self.splits or self.split_by not in drawn[1]:
+                    raise SceneError(f"split_by: must be a parameter of samples in splits; got {shown(self.split_by)}")
+                position = split_of_value(self.splits, seed, drawn[1][self.split_by])
         except ClscoError as error:
             messages = [f"{message} (sample {number}, seed {seed})" for message in str(error).splitlines()]
             raise SceneError(at_most(self.where, messages)) from error
@@ -131,11 +136,9 @@ def draw_value(seed: int, number: int, split: int, attempt: int, parameter: Para
 
 
 def load_distribution(
-    distribution: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] = (),
-    splits: SplitsLike = None,
-    folder: Path | None = None,
-) -> Distribution:
+    distribution: str | os.PathLike[str] | Mapping[str, Any], overrides: Sequence[str] = (),
+    splits: SplitsLike = None, folder: Path | None = None, split_by: str = "",
+) -> Distribution:  # fmt: skip
     """Read a distribution: a .toml or .json file of at most 1 MiB, see docs/distributions.md, or its content.
 
     overrides: as for `clsco.load_scene`; an overridden key no longer varies. folder: base folder of relative paths, if
@@ -148,7 +151,7 @@ def load_distribution(
         inside = Folder(Path(where).absolute().parent)
     shares = splits_of(splits)
     tables = read_tables(where, overrides, inside, content)
-    reader = Reader(tables, inside, shares)
+    reader = Reader(tables, inside, None if split_by else shares)
     parts = reader.parts()
     accept, faults = bounds_of(tables.accept)
     faults = [*reader.faults, *faults]
@@ -158,10 +161,10 @@ def load_distribution(
         faults = _not_analytic(parts)
     if faults:
         raise SceneError(at_most(where, dict.fromkeys(faults)))
-    digest, recipe = _digest(tables, shares, inside), toml_text(tables.content())
+    digest, recipe = _digest(tables, shares, inside, split_by), toml_text(tables.content())
     if content is None and not overrides and not tables.is_joined:
         recipe = read_regular(where, MAX_FILE_BYTES, follow=True).decode("utf-8-sig")
-    return Distribution(where, inside.path, shares, digest, parts, accept, tables, recipe)
+    return Distribution(where, inside.path, shares, split_by, digest, parts, accept, tables, recipe)
 
 
 def _not_analytic(parts: VariedKeys) -> list[str]:
@@ -172,9 +175,9 @@ def _not_analytic(parts: VariedKeys) -> list[str]:
     return [f'{key}.shape: {rule}; got "depth_map"' for key, shape in shapes if shape == "depth_map"]
 
 
-def _digest(tables: DistributionTables, splits: Splits, folder: Folder) -> str:
+def _digest(tables: DistributionTables, splits: Splits, folder: Folder, split_by: str) -> str:
     content = [VERSION, tables.scene, tables.vary, tables.accept, tables.derive, splits, sorted(folder.digests.items())]
-    content += [tables.check] if tables.check else []
+    content += [each for each in (tables.check, split_by) if each]
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
 
 
@@ -194,6 +197,7 @@ class ScriptedDistribution(_Distribution):
     def digest(self) -> str:
         """SHA-256 of the known inputs of samples. The version of NumPy is one, because its generators may change."""
         content = [VERSION, self.function.__qualname__, self.source, np.__version__, self.splits]
+        content += [self.split_by] if self.split_by else []
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     @property
@@ -274,7 +278,9 @@ def _joined_table(tables: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {**shared, VARIANT: own}
 
 
-def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None = None) -> ScriptedDistribution:
+def scripted(
+    function: DrawScene, splits: SplitsLike = None, folder: Path | None = None, split_by: str = ""
+) -> ScriptedDistribution:
     """The distribution whose samples a function draws; arguments as for `clsco.data.make`.
 
     Raises SceneError if other processes cannot import the function, or its source text is unknown.
@@ -288,4 +294,4 @@ def scripted(function: DrawScene, splits: SplitsLike = None, folder: Path | None
     except (pickle.PicklingError, AttributeError, TypeError, OSError) as error:
         rule = "a function must stand at the top of a module or script, from which other processes import it"
         raise SceneError(f"distribution: {rule}; got {name}: {error}") from None
-    return ScriptedDistribution(name, (folder or Path()).resolve(), splits_of(splits), function, source)
+    return ScriptedDistribution(name, (folder or Path()).resolve(), splits_of(splits), split_by, function, source)

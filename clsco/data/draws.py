@@ -8,6 +8,7 @@ use only sums, products, quotients and square roots, which IEEE 754 rounds exact
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import re
 from bisect import bisect_right
@@ -183,6 +184,16 @@ def split_of(splits: Splits, seed: int, number: int) -> int:
     ends = _split_ends(splits)
     block, place = divmod(number, ends[-1])
     return bisect_right(ends, int(_split_order(seed, ends[-1], block)[place]))
+
+
+def split_of_value(splits: Splits, seed: int, value: Any) -> int:
+    """Position of the split of all samples with a value of a parameter, which is of JSON types.
+
+    Integers from 0 on are divided as sample numbers are, in exact shares; the split of another value is random.
+    """
+    if type(value) is int and 0 <= value <= MAX_SEED:
+        return split_of(splits, seed, value)
+    return int(of_files(splits, [hashlib.sha256(f"{seed} {json.dumps(value)}".encode()).hexdigest()])[0])
 
 
 @lru_cache(maxsize=16)

@@ -81,20 +81,12 @@ def dry_run(
     if sheet_path is not None and records:
         write_png(sheet_path, record_sheet(records))
     return DryRun(
-        count=count,
-        parameters=parameters,
-        splits=dict(distribution.splits),
-        looked_at=many,
-        attempts=sum(sample.attempts for sample in samples),
-        failed=tuple(failed),
-        measures=measures,
-        frames=fmean(frames),
-        bytes=_sizes(records, arrays),
+        count=count, parameters=parameters, splits=dict(distribution.splits), looked_at=many,
+        attempts=sum(sample.attempts for sample in samples), failed=tuple(failed), measures=measures,
+        frames=fmean(frames), bytes=_sizes(records, arrays),
         seconds=fmean(seconds[1:] or seconds) * count if seconds else None,  # the first one includes compilation
-        basis=basis,
-        sheet=sheet_path if records else None,
-        fails=len(failed) > drawn and not records,
-    )
+        basis=basis, sheet=sheet_path if records else None, fails=len(failed) > drawn and not records,
+    )  # fmt: skip
 
 
 def _summaries(samples: Sequence[Sample]) -> tuple[Summary, ...]:

@@ -214,13 +214,15 @@ class Files(Form):
     of_split: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def parse(cls, table: Table, folder: Folder, splits: Splits) -> Form:
+    def parse(cls, table: Table, folder: Folder, splits: Splits | None) -> Form:
         names = _at("files", table, folder.match)
         digests = [_at("files", {"files": name}, folder.take) for name in names]
-        numbers = range(max(1, len(splits)))
+        numbers = range(max(1, len(splits or ())))
         if "split" not in table:
             return cls(None, tuple(names), (tuple(range(len(names))),) * len(numbers))
         _require_word("split", table, "by_file")
+        if splits is None:
+            raise RefusedError("files must be without split where a parameter decides the split", '"by_file"')
         split = of_files(splits, digests)
         of_split = tuple(tuple((split == number).nonzero()[0].tolist()) for number in numbers)
         empty = [name for (name, _), own in zip(splits, of_split, strict=False) if not own]
@@ -317,7 +319,7 @@ class Rotated(Form):
         return vector.tolist() if self.size == 3 else {"quaternion": vector.tolist()}
 
 
-FORMS: dict[str, tuple[Callable[[Table, Folder, Splits], Form], tuple[str, ...]]] = {
+FORMS: dict[str, tuple[Callable[[Table, Folder, Splits | None], Form], tuple[str, ...]]] = {
     "uniform": (_parse_uniform, ("size",)),
     "log_uniform": (_parse_log_uniform, ("size",)),
     "normal": (_parse_normal, ("size", "clip")),
@@ -336,8 +338,8 @@ def is_form(value: Any) -> bool:
     return isinstance(value, Mapping) and any(key in FORMS for key in value)
 
 
-def form_of(table: Table, folder: Folder, splits: Splits) -> Form:
-    """The distribution that a table states. Raises RefusedError."""
+def form_of(table: Table, folder: Folder, splits: Splits | None) -> Form:
+    """The distribution that a table states; splits: None if they depend on a parameter. Raises RefusedError."""
     names = [key for key in table if key in FORMS]
     if len(names) > 1:
         raise RefusedError("must be one distribution", " and ".join(names))

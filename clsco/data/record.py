@@ -228,12 +228,9 @@ def parse_stored(text: str) -> dict[str, str]:
 
 
 def make_record(
-    sample: Sample,
-    seed: int,
-    frames: Sequence[Sequence[Frame]],
-    names: Collection[str],
+    sample: Sample, seed: int, frames: Sequence[Sequence[Frame]], names: Collection[str],
     stored: Mapping[str, str] | None = None,
-) -> Record:
+) -> Record:  # fmt: skip
     """Make the record of a sample from the frames of each variant. In a stereo pair, the left view is first.
 
     names: names of the arrays in files; arrays that a frame does not have, such as `uv` without a texture, are left
@@ -268,17 +265,10 @@ def make_record(
     if others and all(other == first for other in others):
         _share(arrays, about)
     meta = {
-        "number": sample.number,
-        "seed": seed,
-        "split": sample.split,
-        "attempts": sample.attempts,
-        "version": __version__,
-        "parameters": sample.parameters,
-        "labels": list(sample.labels),
-        "scene": sample.table,
-        "arrays": about,
-        "frames": described,
-    }
+        "number": sample.number, "seed": seed, "split": sample.split, "attempts": sample.attempts,
+        "version": __version__, "parameters": sample.parameters, "labels": list(sample.labels), "scene": sample.table,
+        "arrays": about, "frames": described,
+    }  # fmt: skip
     return Record(f"{sample.number:09d}", arrays, meta)
 
 

@@ -26,7 +26,7 @@ _IDENTITY = {
 }  # fmt: skip
 _CARD = {
     "identity": _IDENTITY, "samples": (NUMBER, NUMBER), "license?": str, "recipe?": str, "function?": SHORT,
-    "distribution?": dict, "arrays?": {SHORT: ARRAY}, "files?": {SHORT: [(SHORT, NUMBER)]},
+    "split_by?": SHORT, "distribution?": dict, "arrays?": {SHORT: ARRAY}, "files?": {SHORT: [(SHORT, NUMBER)]},
 }  # fmt: skip
 LATEST = 64  # number of shards whose times give the rate
 AT_ONCE = 16  # parts that are read at the same time

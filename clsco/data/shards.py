@@ -118,12 +118,9 @@ class ShardMaker:
         self.renderer = SampleRenderer(device, self.arrays, identity.precision)
 
     def make(
-        self,
-        shard: int,
-        numbers: Iterable[int] | None = None,
-        failed: Mapping[int, str] | None = None,
+        self, shard: int, numbers: Iterable[int] | None = None, failed: Mapping[int, str] | None = None,
         advance: Callable[[], object] = lambda: None,
-    ) -> MadeShard:
+    ) -> MadeShard:  # fmt: skip
         """Make the files of a shard in the scratch folder, with all samples, or only those in `numbers`.
 
         failed: numbers and messages of samples to skip; advance: called after each sample. Raises ClscoError if the
@@ -232,15 +229,9 @@ def _failure(sample: Sample, error: str) -> dict[str, Any]:
 def _row(sample: Sample, key: str, offset: int, record: Record) -> dict[str, Any]:
     """The manifest line of a sample; key: the file that has it; offset: its position among the records of this file."""
     return {
-        "number": sample.number,
-        "split": sample.split,
-        "file": key,
-        "offset": offset,
-        "attempts": sample.attempts,
-        "parameters": sample.parameters,
-        "arrays": record.sha256(),
-        "statistics": statistics(record.arrays),
-    }
+        "number": sample.number, "split": sample.split, "file": key, "offset": offset, "attempts": sample.attempts,
+        "parameters": sample.parameters, "arrays": record.sha256(), "statistics": statistics(record.arrays),
+    }  # fmt: skip
 
 
 def statistics(arrays: Mapping[str, NDArray[Any]]) -> dict[str, list[float | None]]:

@@ -69,20 +69,16 @@ def drawn_again(data_set: DataSet, name: str, folder: Path) -> ScriptedDistribut
         raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}: {error!r}") from error
     if not callable(function):
         raise SceneError(f"draw: must be MODULE:FUNCTION that Python can import; got {name}")
-    drawn = scripted(function, data_set.identity.splits or None, folder)
+    drawn = scripted(function, data_set.identity.splits or None, folder, data_set.about.get("split_by", ""))
     if drawn.digest != data_set.identity.distribution:
         raise SceneError(f"draw: must be the function that made the set, from the same source; got {name}")
     return drawn
 
 
 def verify_samples(
-    data_set: DataSet,
-    numbers: Sequence[int],
-    device: str | None,
-    advance: Advance,
-    folder: Path,
+    data_set: DataSet, numbers: Sequence[int], device: str | None, advance: Advance, folder: Path,
     drawn: ScriptedDistribution | None = None,
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """Render samples again, and list the differences from the set, one line each.
 
     folder: folder of the distribution file, where paths of textures begin. drawn: distribution that draws the samples;
@@ -121,9 +117,8 @@ def scene_table(data_set: DataSet, number: int) -> Mapping[str, Any]:
     if number not in failures:
         raise SceneError(f"sample {number}: its shard must be made; got no part {part_key(shard)}")
     if (table := failures[number]["scene"]) is None:
-        raise SceneError(
-            f"sample {number}: has no scene, as none could be drawn; got {failures[number]['error'][:SHORT]}"
-        )
+        got = failures[number]["error"][:SHORT]
+        raise SceneError(f"sample {number}: has no scene, as none could be drawn; got {got}")
     return dict(table)
 
 

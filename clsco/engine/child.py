@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -90,6 +91,9 @@ def at_forced_end(action: Callable[[], object]) -> None:
 def _run(work: Callable[..., None], pipe: Connection, arguments: tuple[Any, ...]) -> None:
     """Entry point of the child process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(OSError):  # only Python prints: libraries that crash would add lines, though the parent handles it
+        sys.stderr = open(os.dup(2), "w", buffering=1, errors="backslashreplace")  # noqa: SIM115
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     bytearray(_LARGEST)  # freed at once: from then on glibc keeps the pages of a picture for the next
     with suppress(EOFError, BrokenPipeError):  # the parent has closed the pipe

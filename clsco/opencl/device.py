@@ -183,6 +183,7 @@ def _by_pyopencl(specification: str) -> cl.Device:
         raise DeviceError(f'PYOPENCL_CTX: must name a platform and device; got "{specification}": {error}') from error
 
 
+@poclcache.held_signals()
 def _devices() -> tuple[Device, ...]:
     check_not_forked()
     try:

@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import shutil
+import signal
 import stat
 import time
 import zlib
@@ -33,7 +34,9 @@ LOCK = "clsco.lock"
 LIST = "clsco.json"
 MOST_LIST = 2**26  # largest size of the list of checksums, bytes
 ROOM = 16 * 2**20  # free disk space required for compilation, bytes; the largest program takes some 2 MB
+HANDLES = 64  # least limit of open files with which PoCL's compiler and the linker work
 _LARGEST = 64 * 2**20  # bytes of a cache beyond which it is emptied, as PoCL never removes files of older kernels
+ABANDONED_S = 600.0  # s after which a temporary file of PoCL is abandoned
 _SETTLED = 2 * 10**9  # ns: two changes of a folder this far apart have different times on any file system
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # opening a pipe does not block
 
@@ -84,7 +87,7 @@ def has_room(folder: Path | None = None) -> bool:
 
 
 def shortage() -> str:
-    """Text on why PoCL would abort the process when it compiles: no disk space, or a limit of file sizes; else ""."""
+    """Text on why PoCL would abort the process when it compiles: no disk space, or a limit; else ""."""
     if not has_room():
         return "a full disk"
     with suppress(ImportError):  # as on Windows
@@ -92,6 +95,8 @@ def shortage() -> str:
 
         if 0 <= (limit := resource.getrlimit(resource.RLIMIT_FSIZE)[0]) < ROOM:
             return f"a limit of {limit} bytes a file (ulimit -f)"
+        if 0 <= (limit := resource.getrlimit(resource.RLIMIT_NOFILE)[0]) < HANDLES:
+            return f"a limit of {limit} open files (ulimit -n)"
     return ""
 
 
@@ -128,12 +133,27 @@ def check() -> int:
 def exclusive() -> Iterator[None]:
     """Lock the cache folder against other processes in the block, where PoCL may write to it, and record new files."""
     folder = _folder()
-    with _lock(folder):
+    with _lock(folder), held_signals():
         try:
             yield
         finally:
             if _is_ours(folder):
                 _write_record(folder)
+
+
+@contextmanager
+def held_signals() -> Iterator[None]:
+    """Hold back Ctrl-C and SIGTERM in the block, also from threads that start in it and from programs that these run.
+
+    Otherwise Ctrl-C in a terminal would end PoCL's linker, too, and PoCL would abort the process.
+    """
+    if hasattr(signal, "pthread_sigmask"):  # not on Windows, where PoCL is not shipped
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _folder() -> Path:
@@ -251,4 +271,5 @@ def _write_record(folder: Path) -> None:
             temporary.replace(folder / LIST)
     for leftover in folder.glob("tempfile_*"):
         with suppress(OSError):
-            leftover.unlink()
+            if time.time() - leftover.stat().st_mtime > ABANDONED_S:  # a process with another lock file may link others
+                leftover.unlink()

@@ -122,7 +122,7 @@ class Session:
         if not poclcache.is_on_disk():
             where, rule, got = poclcache.VARIABLE, "must be a folder on a disk, for kernels", folder
         elif got := poclcache.shortage():
-            rule = f"the folder {folder} must have {poclcache.ROOM >> 20} MiB for kernels"
+            rule = f"kernels need {poclcache.ROOM >> 20} MiB in the folder {folder}, and {poclcache.HANDLES} open files"
         elif "PoCL 3." in self.device.platform_version and which("ld") is None:
             rule = "kernels are linked by ld, which must be in a folder of PATH; Debian and Ubuntu have it in binutils"
             got = "no such program"

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ import clsco
 import clsco.data
 from clsco.cli.main import ENDINGS
 from clsco.data import pool
-from clsco.data.pool import perform
 from clsco.data.shards import ShardMaker
 from clsco.data.storage import open_storage
 from clsco.files.images import read_image
@@ -42,16 +42,17 @@ BEFORE, NOW = '["color", "sharp", "depth", "coc"]', '["color", "depth"]'
 
 
 class HerePool(pool._Pool):
-    """Does all tasks in this process."""
+    """Does all tasks in this process, and handles their results as those of other processes."""
 
     def run(self) -> None:
-        storage = open_storage(self.job.where)
-        maker = ShardMaker(self.job, storage, choose(), False)
-        while self.schedule.waiting:
-            task = self.schedule.waiting.popleft()
-            perform(maker, task)
-            self.schedule.done(task)
-        storage.close()
+        storage, child = open_storage(self.job.where), SimpleNamespace(send=lambda _: None)
+        maker, worker = ShardMaker(self.job, storage, choose(), False), pool._Worker(child, self.where[0])  # type: ignore[arg-type]
+        try:
+            while self.schedule.waiting:
+                worker.task = self.schedule.waiting.popleft()
+                self._handle_message(worker, pool._answer(maker, worker.task, child))  # type: ignore[arg-type]
+        finally:
+            storage.close()
 
 
 @pytest.fixture

@@ -54,11 +54,10 @@ def run(*words: str | Path) -> Result:
         pytest.param("image.png", "filled.png", np.uint8, 1, marks=pytest.mark.slow),
         pytest.param("image.png", "filled.tif", np.uint16, 3, marks=pytest.mark.slow),
         pytest.param("image.tif", "filled.png", np.uint8, 3, marks=pytest.mark.slow),
-        ("image.tif", "filled.tif", np.float32, 3),
-        ("image.exr", "filled.exr", np.float32, 3),
+        ("image.tif", "filled.tif", np.float32, 3), ("image.exr", "filled.exr", np.float32, 3),
         ("image.npy", "filled.exr", np.float32, 1),
     ],
-)
+)  # fmt: skip
 def test_files_are_filled_as_arrays_are(
     save: Save, tmp_path: Path, name: str, out: str, dtype: Any, channels: int
 ) -> None:
@@ -107,13 +106,10 @@ def test_an_image_without_missing_pixels_is_copied_and_that_is_reported(save: Sa
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("mask.png", np.stack([MASK] * 3, axis=-1)),
-        ("mask.png", MASK.astype(np.uint16) * np.uint16(257)),
-        ("mask.npy", MISSING.astype(np.float32)),
-        ("mask.npy", MISSING),
-        ("mask.npy", MISSING[None]),
+        ("mask.png", np.stack([MASK] * 3, axis=-1)), ("mask.png", MASK.astype(np.uint16) * np.uint16(257)),
+        ("mask.npy", MISSING.astype(np.float32)), ("mask.npy", MISSING), ("mask.npy", MISSING[None]),
     ],
-)
+)  # fmt: skip
 def test_masks_of_other_kinds(save: Save, name: str, values: NDArray[Any]) -> None:
     _, missing = read_pair(save("image.png", CODES), save(name, values))
     assert (missing == MISSING).all()

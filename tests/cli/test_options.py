@@ -35,18 +35,14 @@ def test_messages_of_the_library_are_shown_on_demand(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize(
     ("words", "names"),
     [
-        ("render --truth depth,no", ["depth,normal", "depth,noise_sigma"]),
-        ("render --format npz,kitti_f", ["npz,kitti_flow"]),
-        ("render --types depth=", ["depth=float32", "depth=float16"]),
-        ("dataset make --format za", ["zarr", "zarr+raw"]),
-        ("defocus --unit inv", ["inverse_mm", "inverse_m"]),
-        ("video --preset ff", ["ffv1", "ffv1-16"]),
-        ("inpaint --method t", ["texture"]),
-        ("render --set camera.f_", ["camera.f_number="]),
+        ("render --truth depth,no", ["depth,normal", "depth,noise_sigma"]), ("inpaint --method t", ["texture"]),
+        ("render --types depth=", ["depth=float32", "depth=float16"]), ("video --preset ff", ["ffv1", "ffv1-16"]),
+        ("render --format npz,kitti_f", ["npz,kitti_flow"]), ("dataset make --format za", ["zarr", "zarr+raw"]),
+        ("defocus --unit inv", ["inverse_mm", "inverse_m"]), ("render --set camera.f_", ["camera.f_number="]),
         ("plan --set object.0.rad", ["object.0.radius="]),
         ("examples sphere_", ["sphere_moving", "sphere_turning"]),
     ],
-)
+)  # fmt: skip
 def test_a_shell_completes_names(words: str, names: list[str]) -> None:
     *before, last = words.split()
     shell = BashComplete(main, {}, "clsco", "_CLSCO_COMPLETE")

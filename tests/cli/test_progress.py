@@ -21,13 +21,12 @@ from tests.scenes import PLANE, scene_file
 @pytest.mark.parametrize(
     ("here", "done", "said"),
     [
-        (Progress("compiling gather"), 0, "compiling gather"),
-        (Progress("blur", 0.25, 0, 1), 0, "blur 25%"),
+        (Progress("compiling gather"), 0, "compiling gather"), (Progress("blur", 0.25, 0, 1), 0, "blur 25%"),
         (Progress("blur", 0.25, 0, 12), 0, "blur 25%, time sample 1 of 12"),
         (Progress("blur", 1.0, 3, 12), 0, "blur, time sample 4 of 12, 70 s left"),
         (Progress("trace", 0.0, 0, 1), 1, "trace, 10 s left"),
     ],
-)
+)  # fmt: skip
 def test_where_a_frame_is(here: Progress, done: int, said: str) -> None:
     assert position(here, done, 2, 10.0) == said
 

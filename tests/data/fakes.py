@@ -46,17 +46,13 @@ class Fake:
             raise SceneError(f"{self.where}: must be accepted; got sample {number}")
         table = {
             "camera": {"resolution": [24, 16], "pixel_pitch": 0.2, "focus_distance": 200.0 + number},
-            "object": [
-                {
-                    "shape": "sphere",
-                    "center": [float(seed % 7), 0.5 * number, 280.0],
-                    "radius": 30.0,
-                    "texture": f"/no/{number}.png" if number in self.unrenderable else "#808080",
-                    "motion": {"velocity": [1.0 + number, 2.0, 5.0]},
-                }
-            ],
+            "object": [{
+                "shape": "sphere", "center": [float(seed % 7), 0.5 * number, 280.0], "radius": 30.0,
+                "texture": f"/no/{number}.png" if number in self.unrenderable else "#808080",
+                "motion": {"velocity": [1.0 + number, 2.0, 5.0]},
+            }],
             "sequence": {"samples": 1, "shutter": 0.1},
-        }
+        }  # fmt: skip
         sweep = parse_sweep(table)
         split = ("train", "test")[number % 3 == 0] if self.splits else ""
         kind = Deadly if number in self.deadly else Sample

@@ -86,7 +86,7 @@ def make_set(
                 row = {"number": number, "split": split, "file": key, "offset": len(files[key]) - 1}
                 rows.append({**row, "parameters": {}, "arrays": files[key][-1].sha256()})
         described: dict[str, tuple[int, str]] = {}
-        for key, records in files.items():
+        for key, records in sorted(files.items()):
             path = storage.scratch() / key.replace("/", "_")
             container.write(path, records)
             described |= file_digests(key, path)

@@ -43,16 +43,17 @@ def draw(rng: np.random.Generator, sample: int) -> clsco.Scene:
 def draw_stack(rng: np.random.Generator, sample: int) -> tuple[Any, dict[str, Any]]:
     """A focal stack of two, as a list of scenes, a mapping with lists, or [[variant]]; with what was drawn."""
     radius = np.float64(rng.uniform(20, 30))
+    drawn = {"radius": radius, "scene": sample // 2}
     content: dict[str, Any] = {"camera": {"resolution": [24, 16], "pixel_pitch": 0.2}, "sensor": {}}
     content["object"] = [{"shape": "sphere", "center": [0, 0, 280], "radius": radius, "texture": "dots.png"}]
     if sample % 3 == 0:
         scene = clsco.parse_scene(content)
-        return [scene.replace("camera.focus_distance", u) for u in (230, 300)], {"radius": radius}
+        return [scene.replace("camera.focus_distance", u) for u in (230, 300)], drawn
     if sample % 3 == 1:
         content["camera"]["focus_distance"] = [230, 300]
     else:
         content["variant"] = [{"camera": {"focus_distance": 230}}, {"camera": {"focus_distance": 300, "f_number": 4}}]
-    return content, {"radius": radius}
+    return content, drawn
 
 
 def draw_badly(rng: np.random.Generator, sample: int) -> Any:
@@ -63,10 +64,12 @@ def draw_badly(rng: np.random.Generator, sample: int) -> Any:
 
 
 def test_a_function_gives_variants_and_parameters(place: Path) -> None:
-    clsco.data.make(draw_stack, "stacks", count=6, truth="depth,raw", workers=1, format="npz", splits="a=1,b=2")
+    options: dict[str, Any] = {"splits": "a=1,b=2", "split_by": "scene", "workers": 1, "format": "npz"}
+    clsco.data.make(draw_stack, "stacks", count=6, truth="depth,raw", **options)
     data = clsco.data.open("stacks")
-    assert sum(len(clsco.data.open("stacks", name)) for name in "ab") == len(data) == 6
-    assert len(clsco.data.open("stacks", "a")) == 2
+    groups = [[record.meta["parameters"]["scene"] for record in clsco.data.open("stacks", name)] for name in "ab"]
+    assert sorted(groups[0] + groups[1]) == [0, 0, 1, 1, 2, 2]
+    assert [len(groups[0]), len({*groups[0]})] == [2, 1]
     for record in data:
         number = record.meta["number"]
         assert set(record) == {"v00.color", "v01.color", "v00.raw", "v01.raw", "depth"}

@@ -286,6 +286,23 @@ def test_splits_do_not_depend_on_the_count_and_have_their_shares(load: Load) -> 
     assert [distribution.draw(3, k).split for k in range(30)] == [splits[k][0] for k in places[:30]]
 
 
+def test_samples_with_one_value_share_a_split(load: Load, tmp_path: Path) -> None:
+    options = {"splits": "a=3,b=1", "split_by": "camera.f_number"}
+    for form, least, most in (("integers = [4, 11]", 2, 2), (f"choice = {[0.5 * k for k in range(2, 62)]}", 5, 25)):
+        distribution = load(f"[vary.camera]\nf_number = {{ {form} }}", **options)
+        samples = [distribution.draw(3, number) for number in range(400)]
+        values = [{each.parameters["camera.f_number"] for each in samples if each.split == name} for name in "ab"]
+        assert not values[0] & values[1]
+        assert least <= len(values[1]) <= most
+    assert distribution.digest != load("", splits="a=3,b=1").digest
+    for more in ({"split_by": "f_number"}, {"splits": ""}):
+        with pytest.raises(SceneError, match="split_by: must be a parameter of samples in splits; got "):
+            load("", **options | more).draw(1, 0)
+    images(tmp_path, 2)
+    with pytest.raises(SceneError, match="files must be without split where a parameter decides the split"):
+        load('[[vary.object]]\nindex = 0\ntexture = { files = "*.png", split = "by_file" }', **options)
+
+
 def test_only_accepted_samples_are_drawn(load: Load) -> None:
     text = (
         "[vary.camera]\nfocus_distance = { uniform = [200, 400] }\n[accept]\nmax_blur_px = 6\n"

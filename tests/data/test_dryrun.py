@@ -100,11 +100,3 @@ def test_example_sets_load() -> None:
         distribution = load_distribution(path, splits="train=0.9,test=0.1")
         variants[path.stem] = len(distribution.draw(2026, 3).scenes)
     assert variants == {"blurred_video": 1, "charts": 1, "defocus_pairs": 2, "focal_stacks": 9, "stereo": 1}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("path", SETS, ids=lambda path: path.stem)
-def test_example_sets_draw_a_hundred_samples(path: Path) -> None:
-    distribution = load_distribution(path)
-    attempts = [distribution.draw(1, number).attempts for number in range(100)]
-    assert np.mean(attempts) < 10

@@ -39,19 +39,12 @@ def linked(tmp_path: Path, outside: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ('{base}"../secret.toml"', OUT),
-        ('{base}"{outside}/secret.toml"', OUT),
-        ('{base}"secret.toml"', LINK),
-        ('{base}"folder/secret.toml"', LINK),
-        ('{base}"C:\\\\secret.toml"', OUT),
-        ('{base}"\\\\\\\\host\\\\secret.toml"', OUT),
-        ('{base}"missing.toml"', "must be an existing file"),
-        ("{base}3", "must be the name of a file"),
-        ('{base}"a\\u0000b.toml"', "must be the name of a file"),
-        ('{base}"set.toml"', "must not lead back"),
-        ('{object}texture = "../secret.png"', OUT),
-        ('{object}texture = "{outside}/secret.png"', OUT),
-        ('{object}texture = "secret.png"', LINK),
+        ('{base}"../secret.toml"', OUT), ('{base}"{outside}/secret.toml"', OUT), ('{base}"secret.toml"', LINK),
+        ('{base}"folder/secret.toml"', LINK), ('{base}"C:\\\\secret.toml"', OUT),
+        ('{base}"\\\\\\\\host\\\\secret.toml"', OUT), ('{base}"missing.toml"', "must be an existing file"),
+        ("{base}3", "must be the name of a file"), ('{base}"a\\u0000b.toml"', "must be the name of a file"),
+        ('{base}"set.toml"', "must not lead back"), ('{object}texture = "../secret.png"', OUT),
+        ('{object}texture = "{outside}/secret.png"', OUT), ('{object}texture = "secret.png"', LINK),
         ('{object}texture = "folder/secret.png"', LINK),
         ('{object}texture = {{ choice = ["bricks", "../secret.png"] }}', OUT),
         ('{object}texture = {{ choice = ["bricks", "secret.png"] }}', LINK),
@@ -70,7 +63,7 @@ def linked(tmp_path: Path, outside: Path) -> None:
         ('[aperture]\nshape = "image"\nimage = "secret.png"', LINK),
         ('[aperture]\nshape = "image"\n[vary.aperture]\nimage = {{ choice = ["{outside}/secret.png"] }}', OUT),
     ],
-)
+)  # fmt: skip
 def test_no_path_leaves_the_folder(load: Load, tmp_path: Path, outside: Path, text: str, wanted: str) -> None:
     linked(tmp_path, outside)
     given = text.format(base="base = ", object=OBJECT, outside=outside)

@@ -52,25 +52,18 @@ def check(wanted: Record, arrays: dict[str, np.ndarray[Any, Any]], exact: bool =
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # its files
-def test_webdataset(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", ["webdataset", "webdataset+raw"])
+def test_webdataset(form: str, tmp_path: Path) -> None:
     webdataset = pytest.importorskip("webdataset")
-    samples = list(webdataset.WebDataset(str(written(tmp_path, "webdataset")), shardshuffle=False).decode())
+    samples = list(webdataset.WebDataset(str(written(tmp_path, form)), shardshuffle=False).decode())
     assert [sample["__key__"] for sample in samples] == [each.key for each in RECORDS]
+    decoders: dict[str, Any] = {".npy.zst": npy, ".png": png, ".npy": np.asarray}  # the last kind is decoded already
     for sample, wanted in zip(samples, RECORDS, strict=True):
         assert json.loads(sample["meta.json"]["parameters"]) == wanted.meta["parameters"]
-        zst = {name.removesuffix(".npy.zst"): npy(data) for name, data in sample.items() if name.endswith(".npy.zst")}
-        pictures = {name.removesuffix(".png"): png(data) for name, data in sample.items() if name.endswith(".png")}
-        assert zst.keys() | pictures.keys() == wanted.arrays.keys()
-        check(wanted, zst | pictures, exact=False)
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")  # its files
-def test_webdataset_decodes_npy(tmp_path: Path) -> None:
-    webdataset = pytest.importorskip("webdataset")
-    samples = list(webdataset.WebDataset(str(written(tmp_path, "webdataset+raw")), shardshuffle=False).decode())
-    arrays = {name.removesuffix(".npy"): data for name, data in samples[1].items() if name.endswith(".npy")}
-    assert arrays.keys() == RECORDS[1].arrays.keys()
-    check(RECORDS[1], arrays)
+        kinds = {name: next((kind for kind in decoders if name.endswith(kind)), "") for name in sample}
+        arrays = {name.removesuffix(kind): decoders[kind](sample[name]) for name, kind in kinds.items() if kind}
+        assert arrays.keys() == wanted.arrays.keys()
+        check(wanted, arrays, exact=form.endswith("+raw"))
 
 
 def test_npz(tmp_path: Path) -> None:

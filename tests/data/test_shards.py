@@ -103,6 +103,7 @@ def test_the_sets_of_the_package_are_made(name: str, tmp_path: Path) -> None:
     make_here(replace(job, distribution=distribution, identity=replace(job.identity, arrays=("color", "sharp", "coc"))))
     rows, failures = set_of(job).lines(0)
     assert (len(rows), failures) == (2, [])
+    assert sum(row["attempts"] for row in rows) < 20
 
 
 def test_a_shard_counts_when_it_is_whole(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 """kill -9 at random moments of a batch, and resume: python -m tests.faults.kills --kills 100
 
-Frames are rendered with ground truth by `clsco render`, and a data set is made by processes of one machine (1, 2 and 4
-of them), by two parts of an array job at the same time, and by workers of a dask cluster, in all formats in turn. A
-worker, the command (also by SIGTERM and SIGINT), all of its processes at once, or the scheduler of the cluster is
-killed after a random time, a few times in a row; after each kill every frame and every shard that says it is there must
-be whole, and a frame that was whole stays as it is. Then --resume makes the rest: files must have the bytes of a batch
-that nobody disturbed, and there must be no other file. Only log/ and the JSON files of frames are not compared, which
-say how long something took.
+Frames are rendered with ground truth by `clsco render`, and become a clip by `clsco video`. A data set is made by
+processes of one machine (1, 2 and 4 of them), by two parts of an array job at the same time, by workers of a dask
+cluster, and by `clsco dataset convert`, in all formats in turn. A worker, the command (also by SIGTERM and SIGINT), all
+of its processes at once, or the scheduler of the cluster is killed after a random time, a few times in a row; after
+each kill every frame and every shard that says it is there must be whole, a frame that was whole stays as it is, and
+stderr has at most one line. Then --resume makes the rest: files must have the bytes of a batch that nobody disturbed,
+and there must be no other file. Only log/ and the JSON files of frames are not compared, which say how long something
+took.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ import os
 import random
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from tests.cli.test_dataset import DISTRIBUTION
 
@@ -41,7 +43,7 @@ shape = "plane"
 distance = 250.0
 motion.velocity = [3.0, 0.0, 0.0]
 """
-WAYS = ("render", "pool 1", "pool 2", "pool 4", "parts", "dask")
+WAYS = ("render", "video", "pool 1", "pool 2", "pool 4", "parts", "dask", "convert")
 FORMATS = ("webdataset", "npz", "hdf5", "zarr")
 STUCK_S = 180.0
 SETTLED_S = 10.0  # for tasks that a killed command had given to a cluster
@@ -60,23 +62,23 @@ def main(words: list[str] | None = None) -> int:
         base, rng = Path(name), random.Random(chosen.seed)
         (base / "set.toml").write_text(DISTRIBUTION)
         (base / "scene.toml").write_text(SCENE)
-        undisturbed: dict[str, tuple[dict[str, str], float]] = {}
-        turn = 0
+        if "video" in ways:
+            finish(start_render(base, base / "frames"))
+        if "convert" in ways:
+            finish(start_make(base, base / "source"))
+        undisturbed, seconds, turn = dict[str, dict[str, str]](), dict[tuple[str, str], float](), 0
         while counts["kills"] < chosen.kills:
             way, form = ways[turn % len(ways)], FORMATS[(turn // len(ways) + chosen.seed) % len(FORMATS)]
             turn += 1
-            made = way if way == "render" else form
-            if made not in undisturbed:
-                begun, whole = time.monotonic(), base / "whole"
-                finish(start_render(base, whole) if way == "render" else start_make(base, whole, "--format", form))
-                undisturbed[made] = digests(whole), time.monotonic() - begun
-                shutil.rmtree(whole)
-            expected, seconds = undisturbed[made]
-            trial = Trial(base, way, form, rng, seconds, counts, problems)
+            made = way if way in ("render", "video") else form
+            trial = Trial(base, way, form, rng, seconds.get((way, form), 0.0), counts, problems)
+            begun = time.monotonic()
             try:
-                trial.run(min(rng.randint(1, 4), chosen.kills - counts["kills"]))
+                trial.run(min(rng.randint(1, 4), chosen.kills - counts["kills"]) if trial.seconds else 0)
             finally:
                 trial.end()
+            seconds.setdefault((way, form), time.monotonic() - begun)
+            expected = undisturbed.setdefault(made, digests(base / "out"))
             problems += [f"{way}: {problem}" for problem in differences(expected, base / "out")]
             shutil.rmtree(base / "out")
     recorded = ", ".join(f"{count} {what}" for what, count in sorted(counts.items()))
@@ -96,21 +98,31 @@ def start_render(base: Path, out: Path) -> subprocess.Popen[bytes]:
     return start_clsco("render", str(base / "scene.toml"), "-o", str(out), "--format", "npz")
 
 
-def start_clsco(*words: str) -> subprocess.Popen[bytes]:
+def start_clsco(*words: str, more: Sequence[str] = ("--resume",)) -> subprocess.Popen[bytes]:
     """Start a command that goes on with what is there."""
-    return start([sys.executable, "-c", "from clsco.cli.process import run; run()", *words, "--resume"])
+    return start([sys.executable, "-c", "from clsco.cli.process import run; run()", *words, *more])
 
 
 def start(words: list[str]) -> subprocess.Popen[bytes]:
-    """Start a process in a group of its own, whose output is discarded."""
-    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    """Start a process in a group of its own, whose stderr is a file that workers may outlive."""
+    stderr = tempfile.TemporaryFile()  # noqa: SIM115
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True)
+    process.stderr = stderr
+    return process
+
+
+def said(process: subprocess.Popen[bytes]) -> str:
+    """The text on stderr of a process that has ended; to be called once."""
+    assert process.stderr is not None
+    with process.stderr as file:
+        return os.pread(file.fileno(), 10**6, 0).decode()
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:
     """Wait for a command that nobody kills any more."""
-    status = process.wait(STUCK_S)
+    status, text = process.wait(STUCK_S), said(process)
     if status != 0:
-        raise RuntimeError(f"a batch ended with the exit status {status}")
+        raise RuntimeError(f"a batch ended with the exit status {status}: {text}")
 
 
 class Trial:
@@ -124,8 +136,7 @@ class Trial:
         self.base, self.way, self.rng, self.seconds, self.form = base, way, rng, seconds, ("--format", form)
         self.counts, self.problems = counts, problems
         self.out = base / "out"
-        self.cluster: list[subprocess.Popen[bytes]] = []  # the scheduler, then the workers
-        self.port = 0
+        self.cluster: Any = None  # tests.data.test_cluster.Cluster, which needs dask
         self.complete: dict[int, int] = {}  # frames, and when their JSON files were written
 
     def run(self, kills: int) -> None:
@@ -135,7 +146,9 @@ class Trial:
             time.sleep(self.rng.uniform(0.0, self.seconds))
             self.kill(running)
             for process in running:
-                process.wait(STUCK_S)
+                status, text = process.wait(STUCK_S), said(process)
+                if status not in (0, -signal.SIGKILL) and len(text.splitlines()) != (status > 0):
+                    self.problems.append(f"{self.way}: status {status} with {text!r}")
             self.check_parts()
         for process in self.start():
             finish(process)
@@ -146,27 +159,29 @@ class Trial:
         """Start the commands that make the batch together."""
         if self.way == "render":
             return [start_render(self.base, self.out)]
+        if self.way == "video":
+            self.out.mkdir(exist_ok=True)
+            return [start_clsco("video", str(self.base / "frames"), "-o", str(self.out / "clip.mp4"), more=())]
+        if self.way == "convert":
+            return [start_clsco("dataset", "convert", str(self.base / "source"), "-o", str(self.out), *self.form)]
         if self.way == "parts":
             parts = (("--part", f"{k}/2", "--workers", "1") for k in range(2))
             return [start_make(self.base, self.out, *self.form, *options) for options in parts]
         if self.way == "dask":
             self.start_cluster()
-            return [start_make(self.base, self.out, *self.form, "--scheduler", f"tcp://127.0.0.1:{self.port}")]
+            return [start_make(self.base, self.out, *self.form, "--scheduler", self.cluster.address)]
         return [start_make(self.base, self.out, *self.form, "--workers", self.way.split()[1])]
 
     def start_cluster(self) -> None:
         """Start what of the cluster is not alive: a scheduler, and two workers."""
-        if not self.cluster or self.cluster[0].poll() is not None:
+        from tests.data.test_cluster import Cluster
+
+        if self.cluster is None or self.cluster.scheduler.poll() is not None:
             self.end()
-            with socket.socket() as probe:
-                probe.bind(("127.0.0.1", 0))
-                self.port = probe.getsockname()[1]
-            words = ["scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"]
-            self.cluster = [start([sys.executable, "-m", "dask", *words])]
-        self.cluster = [process for process in self.cluster if process.poll() is None]
-        while len(self.cluster) < 3:
-            words = ["worker", f"tcp://127.0.0.1:{self.port}", "--nthreads", "1", "--no-nanny", "--no-dashboard"]
-            self.cluster.append(start([sys.executable, "-m", "dask", *words]))
+            self.cluster = Cluster()
+        self.cluster.workers = [process for process in self.cluster.workers if process.poll() is None]
+        while len(self.cluster.workers) < 2:
+            self.cluster.add()
 
     def kill(self, running: list[subprocess.Popen[bytes]]) -> None:
         """Kill something of what runs."""
@@ -176,9 +191,9 @@ class Trial:
         self.counts["kills"] += 1
         self.counts[f"kills of a {victim}" if victim != "all processes" else "kills of all processes"] += 1
         if victim == "scheduler":
-            self.cluster[0].kill()
+            self.cluster.scheduler.kill()
         elif victim == "worker" and self.way == "dask":
-            self.rng.choice(self.cluster[1:]).kill()
+            self.rng.choice(self.cluster.workers).kill()
             self.start_cluster()  # another one comes
         elif victim == "worker":
             with contextlib.suppress(ProcessLookupError):
@@ -213,10 +228,8 @@ class Trial:
 
     def end(self) -> None:
         """End the cluster, where there is one."""
-        for process in self.cluster:
-            process.kill()
-            process.wait()
-        self.cluster = []
+        if self.cluster is not None:
+            self.cluster.end()
 
 
 def children(parent: int) -> list[int]:

@@ -39,6 +39,11 @@ def sleeps(pipe: Connection) -> None:
     time.sleep(100.0)
 
 
+def prints(_: Connection) -> None:
+    print("Python", file=sys.stderr)
+    os.write(2, b"a library that crashes\n")
+
+
 def pictures(pipe: Connection) -> None:
     """Make pictures of 3 MB, three at a time, and say how many pages the kernel had to give for each time."""
     for _ in range(6):
@@ -66,6 +71,11 @@ def test_it_keeps_the_memory_of_pictures() -> None:
     child = Child(pictures)
     assert [child.pipe.recv() for _ in range(6)][-1] < (3, 100)  # of 2304 pages
     child.end()
+
+
+def test_only_python_prints(capfd: pytest.CaptureFixture[str]) -> None:
+    assert Child(prints).end(60.0) == 0
+    assert capfd.readouterr().err == "Python\n"
 
 
 def test_one_that_is_stopped_ends() -> None:

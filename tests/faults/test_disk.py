@@ -9,17 +9,13 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from click.testing import Result
 
 from clsco.data import pool
-from clsco.data.shards import ShardMaker
-from clsco.data.storage import open_storage
-from clsco.opencl.device import choose
-from tests.cli.test_dataset import DISTRIBUTION
+from tests.cli.test_dataset import DISTRIBUTION, HerePool
 from tests.command import clsco_
 from tests.data.test_shards import files
 from tests.faults import kills
@@ -27,20 +23,6 @@ from tests.faults.opencl import counted
 from tests.faults.test_torn import Disk
 
 _failing: list[tuple[Disk, str]] = []
-
-
-class AnsweringPool(pool._Pool):
-    """Does all tasks in this process, and handles their results as those of other processes."""
-
-    def run(self) -> None:
-        storage, child = open_storage(self.job.where), SimpleNamespace(send=lambda _: None)
-        maker, worker = ShardMaker(self.job, storage, choose(), False), pool._Worker(child, self.where[0])  # type: ignore[arg-type]
-        try:
-            while self.schedule.waiting:
-                worker.task = self.schedule.waiting.popleft()
-                self._handle_message(worker, pool._answer(maker, worker.task, child))  # type: ignore[arg-type]
-        finally:
-            storage.close()
 
 
 def _fail(event: str, args: tuple[Any, ...]) -> None:
@@ -72,7 +54,7 @@ def failing(folder: Path, disk: Disk, size: int = resource.RLIM_INFINITY) -> Ite
 @pytest.mark.parametrize("step", [40, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("form", ["webdataset", "webdataset+raw", "npz", "hdf5", "zarr"])
 def test_a_set_on_a_disk_that_fails(form: str, step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "_Pool", AnsweringPool)
+    monkeypatch.setattr(pool, "_Pool", HerePool)
     (tmp_path / "set.toml").write_text(DISTRIBUTION)
     words = f"dataset make {tmp_path}/set.toml --resume --quiet --count 4 --shard-size 2 --truth depth --split a=1,b=1"
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
+import resource
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -181,12 +184,17 @@ def test_no_room_to_compile_is_reported_before_the_compiler_aborts(monkeypatch: 
     session = session_on(choose("pocl"))
     full = shutil.disk_usage("/")._replace(free=poclcache.ROOM - 1)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: full)
-    with pytest.raises(DeviceError, match=r"must have 16 MiB for kernels; got a full disk"):
+    with pytest.raises(DeviceError, match=r"kernels need 16 MiB in the folder .*; got a full disk"):
         session.compiling()
     monkeypatch.undo()
-    monkeypatch.setattr("resource.getrlimit", lambda _: (2**16, 2**16))
-    with pytest.raises(DeviceError, match=r"got a limit of 65536 bytes a file \(ulimit -f\)") as caught:
-        session.compiling()
+    for kind, limit, got in (
+        (resource.RLIMIT_FSIZE, 2**16, "65536 bytes a file (ulimit -f)"),
+        (resource.RLIMIT_NOFILE, 12, "12 open files (ulimit -n)"),
+    ):
+        limits = {kind: (limit, limit)}
+        monkeypatch.setattr("resource.getrlimit", lambda each, limits=limits: limits.get(each, (-1, -1)))
+        with pytest.raises(DeviceError, match=re.escape(f"got a limit of {got}")) as caught:
+            session.compiling()
     assert failure_of(caught.value, "DATA")[0] == "fatal"  # no failure of samples
     environ = {"XDG_CACHE_HOME": os.devnull + "/none"}
     poclcache.prepare(environ)
@@ -214,5 +222,9 @@ def test_a_list_of_the_cache_that_cannot_be_written(tmp_path: Path, monkeypatch:
             (folder / "AB" / "one").mkdir(parents=True)
             (folder / "AB" / "one" / "program.bc").write_bytes(bytes(100))
     os.mkfifo(folder / "AB" / "one" / "pipe")
+    for name, seconds in (("tempfile_left.so.o", 10**6), ("tempfile_linked.so.o", 10)):
+        (folder / name).touch()
+        os.utime(folder / name, (0, time.time() - seconds))
     assert poclcache.check() == 1  # what is not recorded may be damaged
     assert list(folder.rglob("program.bc")) == []
+    assert [path.name for path in folder.glob("tempfile_*")] == ["tempfile_linked.so.o"]
