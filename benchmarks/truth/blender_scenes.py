@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-Point = Sequence[float]
+Point = tuple[float, float, float]
 SIZE, FOCAL_LENGTH, SENSOR = 384, 35.0, 36.0  # px, mm, mm
 SCALE = FOCAL_LENGTH / SENSOR * SIZE  # px per unit of slope
 BLURS = {"garden": (5, 12, 25)}  # largest |R| in px, of other scenes 12 and 25
@@ -48,7 +47,7 @@ def main() -> None:
         np.savez(chosen.folder / f"{name}.npz", **rendered(name, chosen.samples))
 
 
-def rendered(name: str, samples: int) -> dict[str, Array]:
+def rendered(name: str, samples: int) -> dict[str, Any]:
     """All arrays of a scene."""
     focus = 1.0 / SCENES[name](start())
     arrays: dict[str, Any] = {"focus": focus}
@@ -325,7 +324,7 @@ def table(rng: Any) -> float:
     return 1.6
 
 
-SCENES: dict[str, Callable[[Any], float]] = {"garden": garden, "fence": fence, "table": table}
+SCENES = {"garden": garden, "fence": fence, "table": table}
 
 if __name__ == "__main__":
     main()

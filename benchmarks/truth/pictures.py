@@ -20,6 +20,7 @@ import inspect
 import math
 import sys
 from collections.abc import Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -45,21 +46,21 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.checkout:
         sys.path.insert(0, chosen.checkout)
+    defocus = import_module("clsco").defocus
     rows = []
     for scene in chosen.scenes.split(","):
         data = dict(np.load(chosen.folder / f"{scene}.npz", allow_pickle=False))
         for blur in (blur for blur in chosen.blurs.split(",") if f"truth_{blur}" in data):
-            rows.append({"scene": scene, "R": blur, **dict(figures(data, blur))})
+            rows.append({"scene": scene, "R": blur, **dict(figures(defocus, data, blur))})
             print("\n".join(f"{name:>16} {value}" for name, value in rows[-1].items()), flush=True)
-    discs = "; ".join(red_discs())
+    discs = "; ".join(red_discs(defocus))
     print(discs)
     if chosen.write:
         write_table(RESULTS, f"`python -m benchmarks.truth.pictures`, 384 x 384 px. A red disc: {discs}", rows)
 
 
-def figures(data: Mapping[str, Array], blur: str) -> Iterator[tuple[str, str]]:
+def figures(defocus: Any, data: Mapping[str, Array], blur: str) -> Iterator[tuple[str, str]]:
     """Errors of a scene with one aperture, by column."""
-    from clsco import defocus
 
     def radius(name: str) -> Array:
         return np.asarray(data[f"blur_scale_{blur}"] * (data["focus"] - data[name]))
@@ -75,12 +76,14 @@ def figures(data: Mapping[str, Array], blur: str) -> Iterator[tuple[str, str]]:
     yield "noise of truth", decibels(np.mean((first - second) ** 2) / 4.0)
     yield "band", f"{100 * band.mean():.0f} %"
     picture, filtered = data["picture"], data["filtered"]
+    options = inspect.signature(defocus).parameters
     yield "hard", error(defocus(picture, hard))
-    yield "hard, keep", error(defocus(picture, hard, soft_edges="keep"))
     yield "filtered", error(defocus(filtered, radius("inverse_depth_filtered")))
     yield "averaged", error(defocus(filtered, averaged))
-    yield "averaged, keep", error(defocus(filtered, averaged, soft_edges="keep"))
     yield "soft", error(defocus(filtered, gaussian_filter(averaged, SOFT, mode="nearest")))
+    if "soft_edges" in options:
+        yield "hard, keep", error(defocus(picture, hard, soft_edges="keep"))
+        yield "averaged, keep", error(defocus(filtered, averaged, soft_edges="keep"))
     covered = distance_transform_edt(data["front"][..., 3] == 0.0, return_distances=False, return_indices=True)
     radii = (radius("front_inverse_depth")[tuple(covered)], radius("back_inverse_depth"))
     for kind, comment in (("", ""), ("_filtered", ", filtered")):
@@ -88,7 +91,7 @@ def figures(data: Mapping[str, Array], blur: str) -> Iterator[tuple[str, str]]:
         layers = list(zip((data[f"front{kind}"], back), radii, strict=True))
         near, far = (defocus(image, blur_radius) for image, blur_radius in layers)
         yield f"over{comment}", error(near[..., :3] + (1.0 - near[..., 3:]) * far[..., :3])
-        if "layers" in inspect.signature(defocus).parameters:
+        if "layers" in options:
             yield f"layers{comment}", error(defocus(layers=layers)[..., :3])
         yield f"node{comment}", error(data[f"node{kind}_{blur}"])
     for name, blur_radius in (("white", hard), ("white, averaged", averaged)):
@@ -101,10 +104,8 @@ def decibels(squared: float) -> str:
     return f"{-10.0 * math.log10(squared):.1f}" if squared > 0.0 else ""
 
 
-def red_discs() -> Iterator[str]:
+def red_discs(defocus: Any) -> Iterator[str]:
     """Largest errors of a red disc before a gray wall, and numbers of pixels that are off by more than 0.02."""
-    from clsco import defocus
-
     row, column = (np.mgrid[: DISC * FINE, : DISC * FINE] + 0.5) / FINE - 0.5
     fine = ((column - 63.3) ** 2 + (row - 64.2) ** 2 < 34.4**2) * 1.0
     share, hard = fine.reshape(DISC, FINE, DISC, FINE).mean((1, 3)), fine[FINE // 2 :: FINE, FINE // 2 :: FINE]
