@@ -106,9 +106,12 @@ def decibels(squared: float) -> str:
 
 def red_discs(defocus: Any) -> Iterator[str]:
     """Largest errors of a red disc before a gray wall, and numbers of pixels that are off by more than 0.02."""
-    row, column = (np.mgrid[: DISC * FINE, : DISC * FINE] + 0.5) / FINE - 0.5
-    fine = ((column - 63.3) ** 2 + (row - 64.2) ** 2 < 34.4**2) * 1.0
-    share, hard = fine.reshape(DISC, FINE, DISC, FINE).mean((1, 3)), fine[FINE // 2 :: FINE, FINE // 2 :: FINE]
+
+    def inside(row: Array, column: Array) -> Array:
+        return ((column - 63.3) ** 2 + (row - 64.2) ** 2 < 34.4**2) * 1.0
+
+    fine = inside(*((np.mgrid[: DISC * FINE, : DISC * FINE] + 0.5) / FINE - 0.5))
+    share, hard = fine.reshape(DISC, FINE, DISC, FINE).mean((1, 3)), inside(*np.mgrid[:DISC, :DISC])
 
     def painted(mask: Array) -> Array:
         return mask[..., None] * [0.8, 0.05, 0.05] + (1.0 - mask[..., None]) * [0.4, 0.45, 0.5]
