@@ -30,7 +30,7 @@ class DepthLayers:
     blur : BlurredPlane
         Blur of the frame or strip, by one of MANY_RADII and without sub-pixel sources.
     clusters : Clusters
-        What makes the layers.
+        Source of the layers.
     tallest : Grid
         Grid of the frame, or the tallest of its strips.
     behind_rims : callable, optional

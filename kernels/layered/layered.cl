@@ -292,7 +292,7 @@ static void raise(__global int *entry, int value) {
         atomic_max(entry, value);
 }
 
-// What a pixel shows of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
+// A pixel's part of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
 // known: weight of its radiance and radius; settled: 1 if its coverage is known, 0 behind a nearer layer.
 typedef struct {
     __global const float *light;
