@@ -98,7 +98,6 @@ DISCONTINUITY_CLASSES = 10  # number of size classes, for sizes above 1, 2, 4 ..
 LAYER_TILE = 16  # rows and columns of the tiles that are blurred with or without occlusion
 REACH_MARGIN = 2  # px, as tables of weights round radii up
 MIXED_AROUND = 4  # px around a pixel at an edge, in which the mean colors of its two surfaces are taken
-PUSH_PIXELS = 4  # pixels of a coarser level that a work-item computes
 
 # Forward warp (kernels/warp/warp.cl).
 OWNED_PIXELS = 64  # sources of a row that a work-item moves, if work-items own bands of the image

@@ -154,13 +154,13 @@ def _steep(radius: Array) -> tuple[tuple[Indices, Indices], tuple[Indices, Indic
     """Lines, and positions in them, of the steps that are large enough to be the steepest step of an edge: for rows,
     and for columns.
     """
-    found: tuple[list[NDArray[np.intp]], ...] = ([np.zeros((2, 0), np.intp)], [np.zeros((2, 0), np.intp)])
+    ways: tuple[list[NDArray[np.intp]], ...] = ([np.zeros((2, 0), np.intp)], [np.zeros((2, 0), np.intp)])
     for top, parts in _strips(radius):
-        for places, steps in zip(found, parts, strict=True):
+        for places, steps in zip(ways, parts, strict=True):
             place = np.flatnonzero(np.abs(steps) >= LEAST_STEEPEST)
             row, column = np.divmod(place, max(steps.shape[1], 1))
             places.append(np.stack([row + top, column]))
-    (row, column), (down_row, down_column) = (np.concatenate(places, axis=1) for places in found)
+    (row, column), (down_row, down_column) = (np.concatenate(places, axis=1) for places in ways)
     order = np.argsort(down_column, kind="stable")
     return (row, column), (down_column[order], down_row[order])
 

@@ -33,15 +33,15 @@ NONE = np.full(1, -1, np.int32)
 class Sheet:
     """A depth layer with radiance, radius and coverage in all pixels.
 
-    image: radiance times coverage, coverage and ones; left, wanted: int of each tile, 1 if nearer sheets leave room in
-    it, and if the sheet reaches it, too; to_wanted: px to the nearest tile of the latter kind; still_left: like `left`,
+    image: radiance times coverage, coverage and ones; left, needed: int of each tile, 1 if nearer sheets leave room in
+    it, and if the sheet reaches it, too; to_needed: px to the nearest tile of the latter kind; still_left: like `left`,
     with the sheet, 0 so far.
     """
 
     image: Image
     left: cl.Buffer
-    wanted: cl.Buffer
-    to_wanted: cl.Buffer
+    needed: cl.Buffer
+    to_needed: cl.Buffer
     still_left: cl.Buffer
 
 
@@ -183,7 +183,7 @@ class Clusters:
         """The sheet of depth layer number `index`, from 1."""
         run, number, (width, height) = self.target.run, np.int32(index), size_of(job.grid)
         pyramid, left, to_left = self._named("pyramid", "left", "to_left")
-        sheet_reach, wanted, to_wanted = self._named("sheet_reach", "wanted", "to_wanted")
+        sheet_reach, needed, to_needed = self._named("sheet_reach", "needed", "to_needed")
         value, coc, valid = self._named("value", "coc", "valid")
         planes = (image.value, image.maps[0], *labels.values(), pyramid)
         levels = levels_of(height, width, self.deep, self.colors + 4)
@@ -202,11 +202,11 @@ class Clusters:
         out = (to_left, value, coc, valid, sheet_reach)
         reach = (np.int32(self.far), self.spread)
         run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, *reach, *planes, *out)
-        self._run_tiles(job, "want_tiles", sheet_reach, left, wanted)
-        self._run_tiles(job, "measure_tiles", np.int32(1), wanted, to_wanted)
+        self._run_tiles(job, "need_tiles", sheet_reach, left, needed)
+        self._run_tiles(job, "measure_tiles", np.int32(1), needed, to_needed)
         self._fill(ZERO, "still_left")
         self.buffers["left"], self.buffers["still_left"] = self._named("still_left", "left")
-        return Sheet(Image(value, (coc, valid)), left, wanted, to_wanted, self.buffers["left"])
+        return Sheet(Image(value, (coc, valid)), left, needed, to_needed, self.buffers["left"])
 
     def _run_tiles(self, job: Job, name: str, *args: object) -> None:
         """Enqueue a kernel that looks at the tiles around each tile."""

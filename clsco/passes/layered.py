@@ -106,9 +106,9 @@ class DepthLayers:
         """Blur a sheet, and lay it behind the previous ones."""
         inner = self.inner
         sources = self._sources(job, inner, sheet.image, behind)
-        self._keep(job, sheet.image, 1, sheet.wanted, sheet.to_wanted)
+        self._keep(job, sheet.image, 1, sheet.needed, sheet.to_needed)
         inner.begin(job.grid)
         inner.add(sources, job.events)
         inner.resolve(job.events)
-        args = (job.grid, *inner.layout, sheet.left, sheet.wanted, self.room, self.light, sheet.still_left)
+        args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         self.target.run("composite", inner.size, PIXELS, job.events, *args)

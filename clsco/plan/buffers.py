@@ -223,8 +223,8 @@ def sheet_spec(spec: BlurSpec) -> BlurSpec:
 
 
 TILE_PLANES = (
-    "reach", "edge", "marked", "to_marked", "to_plain", "left", "still_left", "to_left", "sheet_reach", "wanted",
-    "to_wanted",
+    "reach", "edge", "marked", "to_marked", "to_plain", "left", "still_left", "to_left", "sheet_reach", "needed",
+    "to_needed",
 )  # fmt: skip
 
 

@@ -140,7 +140,8 @@ static bool is_uneven(real coc, real other) {
 
 // One tile per work-item. In: value, coc, layer. Out: sides, reach, edge.
 __kernel void find_edges(const grid_t grid, const real2 spread, __global const float *value,
-                         __global const real *coc, __global const uchar *layer, __global uchar *sides, __global int *reach,
+                         __global const real *coc, __global const uchar *layer, __global uchar *sides,
+                         __global int *reach,
                          __global int *edge) {
     const int left = get_global_id(0) * LAYER_TILE, top = get_global_id(1) * LAYER_TILE;
     if (left >= grid.width || top >= grid.height)
@@ -260,17 +261,17 @@ __kernel void mark_tiles(const int rows, const int columns, const int far, __glo
     marked[y * columns + x] = mark;
 }
 
-// Tiles among `marked` that the sources with `reach` reach. Out: wanted.
-__kernel void want_tiles(const int rows, const int columns, const int far, __global const int *reach,
-                         __global const int *marked, __global int *wanted) {
+// Tiles among `marked` that the sources with `reach` reach. Out: needed.
+__kernel void need_tiles(const int rows, const int columns, const int far, __global const int *reach,
+                         __global const int *marked, __global int *needed) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows)
         return;
-    int want = 0;
+    int need = 0;
     for (int dy = MAX(-far, -y); dy <= MIN(far, rows - 1 - y) && marked[y * columns + x]; ++dy)
         for (int dx = MAX(-far, -x); dx <= MIN(far, columns - 1 - x); ++dx)
-            want |= between_tiles(dx, dy) <= reach[(y + dy) * columns + x + dx];
-    wanted[y * columns + x] = want;
+            need |= between_tiles(dx, dy) <= reach[(y + dy) * columns + x + dx];
+    needed[y * columns + x] = need;
 }
 
 // Px from each tile to the nearest one whose flag is `which`. In: flags. Out: distance.
@@ -325,7 +326,8 @@ static void put_means(float known, float settled, const float *sum, __global flo
 // One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels, of those within
 // `near` px of a marked tile. In: all planes of the image, to_marked. Out: pyramid.
 __kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns, const int near,
-                         __global const int *to_marked, __global const float *value, __global const real *coc, __global const uchar *layer,
+                         __global const int *to_marked, __global const float *value, __global const real *coc,
+                         __global const uchar *layer,
                          __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows)
@@ -506,23 +508,22 @@ __kernel void keep_sources(const grid_t grid, const real2 spread, const int whic
         return;
     const int away = distance[tile_of(grid, begin, y)];
     for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && away > 0; ++x) {
-        const int at = y * grid.width + x, far = reach_of(coc[at], spread);
+        const int pixel = y * grid.width + x, far = reach_of(coc[pixel], spread);
         bool keep = far > 2 * LAYER_TILE;
         for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && far >= away;
              ++row)
-            for (int column = MAX(x - far, 0) / LAYER_TILE; column <= MIN(x + far, grid.width - 1) / LAYER_TILE && !keep;
-                 ++column)
-                keep = flags[row * columns + column] == which;
+            for (int at = MAX(x - far, 0) / LAYER_TILE; at <= MIN(x + far, grid.width - 1) / LAYER_TILE; ++at)
+                keep |= flags[row * columns + at] == which;
         if (far < away || !keep)
-            source[at] = -1;
+            source[pixel] = -1;
     }
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
-// from_pitch), with scratch columns as the total of blur.cl; left, wanted. In and out: room float (rows, columns), the
+// from_pitch), with scratch columns as the total of blur.cl; left, needed. In and out: room float (rows, columns), the
 // fraction of the lens that is free; light float (CHANNELS, rows, columns); still_left: 1 for tiles with room.
 __kernel void composite(const grid_t grid, const int from_pitch, const int from_pad, __global const float *blurred,
-                        __global const int *left, __global const int *wanted, __global float *room,
+                        __global const int *left, __global const int *needed, __global float *room,
                         __global float *light, __global int *still_left) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
@@ -532,7 +533,7 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
         return;
     __global const float *sums = blurred + row * from_pitch + column + from_pad;
     const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
-    const float ones = wanted[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
+    const float ones = needed[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
     if (ones > 0) {
         for (int c = 0; c < CHANNELS; ++c)
             light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
@@ -542,8 +543,9 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
         raise(still_left + tile, 1);
 }
 
-// Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover. In:
-// marked, light, room. In and out: total float (CHANNELS + ALPHA, rows, pitch), with `pad` scratch columns as in blur.cl.
+// Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover.
+// In: marked, light, room. In and out: total float (CHANNELS + ALPHA, rows, pitch), with `pad` scratch columns as in
+// blur.cl.
 __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __global const int *marked,
                          __global const float *light, __global const float *room, __global float *total) {
     const int column = get_global_id(0), row = get_global_id(1);
