@@ -509,9 +509,8 @@ __kernel void keep_sources(const grid_t grid, const real2 spread, const int whic
     const int away = distance[tile_of(grid, begin, y)];
     for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && away > 0; ++x) {
         const int pixel = y * grid.width + x, far = reach_of(coc[pixel], spread);
-        bool keep = far > 2 * LAYER_TILE;
-        for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && far >= away;
-             ++row)
+        bool keep = far > 2 * LAYER_TILE || far < away;  // wide blurs are not worth the search
+        for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && !keep; ++row)
             for (int at = MAX(x - far, 0) / LAYER_TILE; at <= MIN(x + far, grid.width - 1) / LAYER_TILE; ++at)
                 keep |= flags[row * columns + at] == which;
         if (far < away || !keep)
