@@ -167,6 +167,14 @@ def occlusion() -> str:
     return table(columns, map(cells, result_rows("occlusion.md")))
 
 
+def pictures() -> str:
+    """PSNR within 12 px of depth edges: the middle one of three figures."""
+    ways = ("filtered", "layers, filtered", "node, filtered")
+    columns = ("scene", "R, px", "one picture", "two layers", "Defocus node")
+    rows = result_rows("pictures.md")
+    return table(columns, ([row["scene"], row["R"], *(row[way].split(" / ")[1] for way in ways)] for row in rows))
+
+
 def memory() -> str:
     most = {row[""]: row["peak MiB"] for row in result_rows("sizes.md") if row["size, px"] == "8192"}
     return table(("8192 x 8192 px", "MiB"), ((label, f"{float(most[name]):.0f}") for label, name in MEMORY.items()))
@@ -256,7 +264,7 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "judged": ("accuracy.md", judged), "occlusion": ("occlusion.md", occlusion),
     "memory": ("speed.md", memory), "photographic": ("speed.md", photographic), "mitsuba": ("speed.md", mitsuba),
     "numba": ("speed.md", numba), "cards": ("speed.md", cards), "presets": ("video.md", video),
-    "methods": ("inpainting.md", inpainting),
+    "methods": ("inpainting.md", inpainting), "pictures": ("blender.md", pictures),
 }  # fmt: skip
 
 
