@@ -118,7 +118,7 @@ class Clusters:
         self.deep = most_deep(spec.psf, spec.largest)
         self.far = int(reaches_of(spec.psf, np.array([spec.largest]))[0])
         # Within it, pixels of the pyramid are computed, up to the size of tiles, from which sheets are interpolated.
-        self.near = np.int32(self.deep + 2 * LAYER_TILE)
+        self.near = self.deep + 2 * LAYER_TILE
         self.spread = real_pair(spec.psf.extent, spec.psf.pupil.margin, target.real)
         self.buffers = allocate(target.session, cluster_buffers(spec, tallest))
         sizes = label_buffers(spec, tallest)
@@ -174,9 +174,9 @@ class Clusters:
         if self.alpha:
             self._fill(ONE, "marked")
         else:
-            self._run_tiles(job, "mark_tiles", *self._named("reach", "edge"), marked)
-        for name, which in (("to_plain", 0), ("to_marked", 1)):
-            self._run_tiles(job, "measure_tiles", np.int32(which), marked, self.buffers[name])
+            self._run_tiles(job, "mark_tiles", self.far, *self._named("reach", "edge"), marked)
+        for name, which, far in (("to_plain", 0, self.far), ("to_marked", 1, self.near)):
+            self._run_tiles(job, "measure_tiles", far, np.int32(which), marked, self.buffers[name])
         cl.enqueue_copy(self.target.session.queue, left, marked)
 
     def _sheet(self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], index: int) -> Sheet:
@@ -188,8 +188,11 @@ class Clusters:
         planes = (image.value, image.maps[0], *labels.values(), pyramid)
         levels = levels_of(height, width, self.deep, self.colors + 4)
         rows, columns, _ = levels[0]
-        head, marked = (job.grid, number, np.int32(rows), np.int32(columns)), (self.near, self.buffers["to_marked"])
-        self._run_tiles(job, "measure_tiles", np.int32(1), left, to_left)
+        head, marked = (
+            (job.grid, number, np.int32(rows), np.int32(columns)),
+            (np.int32(self.near), self.buffers["to_marked"]),
+        )
+        self._run_tiles(job, "measure_tiles", self.far, np.int32(1), left, to_left)
         run("open_sheet", (columns, rows), PIXELS, job.events, *head, *marked, *planes)
         pairs = [(fine, coarse, [np.int32(n) for n in (*fine[:2], *coarse[:2], fine[2], coarse[2])])
                  for fine, coarse in pairwise(levels)]  # fmt: skip
@@ -202,17 +205,16 @@ class Clusters:
         out = (to_left, value, coc, valid, sheet_reach)
         reach = (np.int32(self.far), self.spread)
         run("take_sheet", (tiles_of(job.grid)[0], height), TILES, job.events, *head, *reach, *planes, *out)
-        self._run_tiles(job, "need_tiles", sheet_reach, left, needed)
-        self._run_tiles(job, "measure_tiles", np.int32(1), needed, to_needed)
+        self._run_tiles(job, "need_tiles", self.far, sheet_reach, left, needed)
+        self._run_tiles(job, "measure_tiles", self.far, np.int32(1), needed, to_needed)
         self._fill(ZERO, "still_left")
         self.buffers["left"], self.buffers["still_left"] = self._named("still_left", "left")
         return Sheet(Image(value, (coc, valid)), left, needed, to_needed, self.buffers["left"])
 
-    def _run_tiles(self, job: Job, name: str, *args: object) -> None:
-        """Enqueue a kernel that looks at the tiles around each tile."""
+    def _run_tiles(self, job: Job, name: str, far: int, *args: object) -> None:
+        """Enqueue a kernel that looks at the tiles up to `far` px around each tile."""
         columns, rows = tiles = tiles_of(job.grid)
-        around = -(-(self.near if args[-1] is self.buffers["to_marked"] else self.far) // LAYER_TILE) + 1
-        head = (np.int32(rows), np.int32(columns), np.int32(around))
+        head = (np.int32(rows), np.int32(columns), np.int32(-(-far // LAYER_TILE) + 1))
         self.target.run(name, tiles, TILES, job.events, *head, *args)
 
     def _named(self, *names: str) -> tuple[cl.Buffer, ...]:
