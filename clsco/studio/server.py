@@ -36,7 +36,7 @@ from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
-from clsco.studio.presets import choose_method
+from clsco.studio.presets import FIRST, choose_method, load_preset
 from clsco.studio.preview import MEASURE, Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
@@ -95,11 +95,13 @@ class Studio:
         self.state.remove(*(path.name for path in pictures))
 
     def new_session(self) -> Document:
-        """A session with the scene of the command line."""
+        """A session with the scene of the command line, or the first preset."""
         session = Document(self.root)
         if self.scene is not None:
             session.open(self.scene.absolute())
-            session.forget_past()
+        else:
+            load_preset(session, FIRST)
+        session.forget_past()
         return session
 
     async def tab(self, name: str = "") -> str:
