@@ -37,7 +37,7 @@ from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.presets import FIRST, choose_method, load_preset
-from clsco.studio.preview import MEASURE, Preview
+from clsco.studio.preview import MEASURE, OVERVIEW, Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
@@ -284,6 +284,8 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
             pointer.ask(x, y)
         case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y, MEASURE)
+        case {"overview": True}:
+            pointer.ask(0, 0, OVERVIEW)
         case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
             pointer.focus(x, y, drag)
         case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:

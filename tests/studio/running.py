@@ -76,10 +76,7 @@ def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
 
 @contextmanager
 def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
-    """Start `clsco studio`, and end it, without a traceback; browser: a command that it opens, else there is none.
-
-    If the arguments name no scene, it opens one of the defaults, whose frames take less time than the first preset.
-    """
+    """Start `clsco studio`, by default with START, and end it, without a traceback; browser: what it opens."""
     if not any(word.endswith(".toml") for word in arguments):
         root.mkdir(exist_ok=True)
         (root / "start.toml").write_text(START)

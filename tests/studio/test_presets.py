@@ -31,8 +31,6 @@ def test_every_figure_that_a_scene_makes_is_a_preset(session: Document) -> None:
         if preset.name not in ("thesis/section_4_3_3", "focal_stack"):  # several scenes
             assert bare(session.scene) == bare(load_scene(preset.path))
         assert session.path is None
-    while session.undo():
-        pass
 
 
 @pytest.mark.parametrize("name", ["depth_map", "thesis/fig_4_19"])
