@@ -134,7 +134,7 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     rest: tuple[tuple[str, dict[str, Field], tuple[str, ...]], ...] = (
         ("Texture", of_object, ("texture_",)),
         ("Keyframes", of_object, ("motion.",)),
-        ("Name and pose", of_object, ("",)),
+        ("Pose", of_object, ("",)),
         ("PSF and method", scene, ("psf.", "aperture.")),
         ("Sequence", scene, ("sequence.", "motion.", "camera.")),
         ("Focus pull", scene, ("lens.keyframe", "lens.interpolation", "lens.outside")),

@@ -57,14 +57,12 @@ def draw_panels(session: Document) -> None:
         shown = [panel for panel in listed if panel.is_open or panel.title in now.added]
         for position, panel in enumerate(shown):
             _draw(session, panel, position, now, method)
-        with say("div", class_="also"):
-            say("span", "Add what the scene needs:", class_="quiet")
-            with say("div", class_="chips"):
-                for panel in listed:
-                    if panel not in shown:
-                        with button("", partial(add, panel.title), class_="chip"):
-                            icon("plus")
-                            say("span", panel.title)
+        with say("div", class_="chips", role="group", aria_label="Add what the scene needs"):
+            for panel in listed:
+                if panel not in shown:
+                    with button("", partial(add, panel.title), class_="chip"):
+                        icon("plus")
+                        say("span", panel.title)
 
     def add(title: str) -> None:
         now.added.add(title)
