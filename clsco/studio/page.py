@@ -65,7 +65,7 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
 
 
 def _menu(session: Document, studio: Studio) -> None:
-    """What is done with the scene as a whole; the dialogs lie beside the menu, which hides what is in it."""
+    """Draw the menu of the scene, and beside it the dialogs, since a closed menu hides what is in it."""
     save, save_as = save_dialog(session)
     entries = {"Open": open_dialog(session, studio), "Presets": preset_dialog(session), "Save": save}
     entries |= {"Save as": save_as, "Share": share_dialog(session)}
