@@ -19,23 +19,21 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES, PAGE, PICTURES = ROOT / "examples", ROOT / "docs/gallery.md", ROOT / "docs/gallery"
 PRESETS = ROOT / "clsco/studio/static/presets"
 WIDTH, QUALITY = 320, 82  # px, of 100
-PRESET_WIDTH, PRESET_QUALITY = 128, 45  # of the pictures that the package contains
+SMALL, FIRST_SMALL = (128, 45), (222, 70)  # width and quality of the pictures that the package contains
 ACROSS = 3  # examples in a row of the page
 SEED = 2026
 TOLERANCE = 0.004  # of white, a code of 8 bits
 
+FIRST = ("evening", "portrait", "macro", "street", "shutter", "night", "hearts", "swirl", "coded")
 CHAPTERS = (
-    "Shapes", "Several objects", "Motion", "Lenses", "Sensors and shutters", "Photographs, pairs and stacks",
-    "Data sets",
+    "Begin here", "Shapes", "Several objects", "Motion", "Lenses", "Sensors and shutters",
+    "Photographs, pairs and stacks", "Data sets",
 )  # fmt: skip
 
 HEAD = """# Gallery
 
-![Glazed balls on a table in the evening](evening.jpg)
-
 All examples but those of [the thesis](thesis.md). `clsco examples NAME -o .` copies one with its images;
-`clsco render NAME.toml -o frames` renders it, or `clsco dataset make NAME.toml -o DATA --count 100` makes samples of a
-data set.
+`clsco render NAME.toml -o frames` renders it, `clsco dataset make NAME.toml -o DATA` makes a data set.
 """
 
 
@@ -48,6 +46,8 @@ def grid(cells: list[str]) -> str:
 
 def chapter(name: str, scene: clsco.Scene, several: bool) -> str:
     """Heading of the gallery under which a scene stands."""
+    if name in FIRST:
+        return CHAPTERS[0]
     shapes = {item.shape for item in scene.objects}
     if name.startswith("sets/"):
         return "Data sets"
@@ -82,7 +82,7 @@ def make_picture(name: str, scene: clsco.Scene) -> None:
     if not name.startswith("thesis/"):
         write_small(picture, WIDTH, QUALITY, PICTURES / picture_name(name))
     if not name.startswith("sets/"):
-        write_small(picture, PRESET_WIDTH, PRESET_QUALITY, PRESETS / f"{name}.webp")
+        write_small(picture, *(FIRST_SMALL if name in FIRST else SMALL), PRESETS / f"{name}.webp")
 
 
 def write_small(picture: Image.Image, width: int, quality: int, path: Path) -> None:
@@ -102,7 +102,9 @@ def main() -> None:
         if not wanted or name in wanted:
             make_picture(name, first_scene(name)[0])
             print(name)
-    for path in sorted([*EXAMPLES.glob("*.toml"), *EXAMPLES.glob("sets/*.toml")]):
+    others = {*EXAMPLES.glob("*.toml"), *EXAMPLES.glob("sets/*.toml")}
+    first = [EXAMPLES / f"{name}.toml" for name in FIRST]
+    for path in [*first, *sorted(others - set(first))]:
         name = path.relative_to(EXAMPLES).with_suffix("").as_posix()
         scene, several = first_scene(name)
         if not wanted or name in wanted:

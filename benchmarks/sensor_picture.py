@@ -15,8 +15,8 @@ from clsco.frame.views import viridis
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE, CUT, ZOOM = 256, 64, 4
-CORNER = 96, 72  # row and column of the parts
-OVERRIDES = (f"camera.resolution=[{SIZE}, {SIZE}]", "camera.pixel_pitch=0.02", "camera.f_number=2.0")
+CORNER = 128, 64  # row and column of the parts
+OVERRIDES = (f"camera.resolution=[{SIZE}, {SIZE}]", "camera.pixel_pitch=0.09")
 SPEEDS = (100.0, 800.0, 3200.0, 12800.0)
 
 

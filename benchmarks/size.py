@@ -17,11 +17,11 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 43_190,
+    "lines of clsco/*.py": 43_110,
     "lines of kernels": 8_980,
     "lines of tests": 42_700,
     "words of documentation": 25_000,
-    "wheel, kB": 1_660,
+    "wheel, kB": 2_230,
     "kernel programs of the tests": 300,
     "seconds of make test": 360,
 }

@@ -1,4 +1,4 @@
-"""docs/studio.png, the studio at a point behind the rim of a ball: python -m benchmarks.studio_picture [-o FILE]
+"""docs/studio.png, the studio with its first scene: python -m benchmarks.studio_picture [-o FILE]
 
 Needs Chromium, and `pip install playwright`.
 """
@@ -10,39 +10,38 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from tests.studio.browser import EXAMPLES, chromium, rest
+from clsco.studio.presets import FIRST
+from tests.studio.browser import EXAMPLES, chromium
 from tests.studio.running import studio
 
-SCENE = "occlusion_three.toml"
 ROOT = Path(__file__).parents[1]
-POINT = (0.172, 0.42)  # shares of the picture's width and height
-WAIT = 60_000  # ms
+POINT = (0.72, 0.586)  # shares of the picture's width and height
+WAIT = 120_000  # ms
+IS_SMALL = (
+    """document.querySelector('[data-view="depth"] canvas').getContext("2d").getImageData(40, 20, 1, 1).data[3]"""
+)
 
 
 def main() -> None:
-    """Open the scene, rest the pointer on the point until its response is measured, and take the picture."""
+    """Open the scene, wait for the small views, and take the picture with the pointer on a ball."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "studio.png")
     output = parser.parse_args().output
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "scenes"
-        root.mkdir()
-        shutil.copy(EXAMPLES / SCENE, root)
-        with studio(root, str(root / SCENE), "--device", "pocl") as running, chromium() as browser:
-            page = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark").new_page()
+        shutil.copytree(EXAMPLES, root)
+        view = {"viewport": {"width": 1280, "height": 800}, "color_scheme": "dark"}
+        with studio(root, str(root / f"{FIRST}.toml"), "--device", "pocl") as running, chromium(**view) as browser:
+            page = browser.new_page()
             page.goto(running.address)
-            rest(page)
-            page.reload()  # the header says what a frame takes; the first one was compiled
-            rest(page)
+            page.wait_for_function("window.studio && studio.rung === 2", timeout=WAIT)
+            page.reload()  # the status says what a frame takes; the first one was compiled
+            page.wait_for_function("window.studio && studio.rung === 2", timeout=WAIT)
+            page.wait_for_function(IS_SMALL, timeout=WAIT)
             box = page.locator("#canvas").bounding_box()
             page.mouse.move(box["x"] + POINT[0] * box["width"], box["y"] + POINT[1] * box["height"])
-            shown = "/\\d/.test(document.querySelector('#psf-values').rows[0]?.cells[2]?.textContent)"
-            offered = "!document.querySelector('#measure').hidden"
-            page.wait_for_function(f"{shown} || {offered}", timeout=WAIT)
-            if page.evaluate(offered):  # it takes longer than it does unasked
-                page.evaluate("document.querySelector('#measure').click()")
-            page.wait_for_function(shown, timeout=WAIT)
-            rest(page)
+            page.locator("#who", has_text="Yellow ball").wait_for(timeout=WAIT)
+            page.wait_for_function("document.querySelector('#progress').hidden", timeout=WAIT)
             page.screenshot(path=output)
     print(output)
 

@@ -64,6 +64,8 @@ class Hand:
     def press(self, name: str, inside: str = "body") -> None:
         """Click a button by its words."""
         self.clicks += 1
+        if self.page.locator("#menu button", has_text=name).count():
+            self.click("#scene")
         button = self.page.locator(inside).get_by_role("button", name=name, exact=True).first
         button.scroll_into_view_if_needed()
         button.click()
@@ -93,7 +95,8 @@ class Hand:
 
     def open(self, name: str) -> None:
         """Have a scene shown, which does not count."""
-        self.page.get_by_role("button", name="Open", exact=True).click()
+        self.page.locator("#scene").click()
+        self.page.locator("#menu").get_by_role("button", name="Open", exact=True).click()
         self.page.get_by_role("button", name=f"{name}.toml").first.click()
         self.page.locator("dialog[open]").wait_for(state="hidden")
         self.until("studio.rung === 2")
@@ -107,11 +110,7 @@ def focus_near(hand: Hand) -> None:
 
 
 def stop_down(hand: Hand) -> None:
-    hand.type(
-        "8",
-        '#lens-strip input[data-kind][data-path="camera.f_number"]',
-        '#panels input[data-kind][data-path="camera.f_number"]',
-    )
+    hand.type("8", '#lens-strip input[data-kind][data-path="camera.f_number"]')
     hand.until("studio.values['camera.f_number'] === 8 && studio.rung === 2")
 
 

@@ -28,13 +28,21 @@ from clsco.inputs.pupils import scene_point_spread
 from clsco.plan.device import DeviceFacts
 from clsco.plan.plan import Plan, make_plan
 from clsco.plan.request import Request
-from clsco.scene.file import parse_scene
+from clsco.scene.file import FILE_KEYS, parse_scene
 from clsco.scene.model import Camera, Scene
 
 EXAMPLES = sorted(p for p in (Path(__file__).parents[1] / "examples").rglob("*.toml") if p.parent.name != "sets")
 Table = Mapping[str, Any]
 # A scene file for tests that look at files and messages: its frame takes no time.
 PLANE = '[camera]\nresolution = [12, 9]\nnormalization_distance = 20.0\n[[object]]\nshape = "plane"\n'
+
+
+def bare(scene: Scene) -> dict[str, Any]:
+    """Content of a scene, with names of files in place of their paths."""
+    content = scene.model_dump()
+    for item in (*content["objects"], content["aperture"]):
+        item |= {key: Path(item[key]).name for key in (*FILE_KEYS, "image") if isinstance(item.get(key), str)}
+    return content
 
 
 def scene_of(*items: Any, size: tuple[int, int] = (64, 48), camera: Table | None = None, **sections: Any) -> Scene:

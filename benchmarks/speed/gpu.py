@@ -50,7 +50,7 @@ SEEN: dict[str, dict[str, Any]] = {
     "longitudinal color": {"lens": {"axial": [0.01, 0.0, -0.01]}},
     "sensor": {"sensor": {"white_electrons": 20000.0, "read_noise": 3.0, "bits": 12}},
 }
-EXAMPLES = ("lens_fast_prime", "lens_heart", "star_field", "night", "chromatic_ruler", "rolling_train", "dolly_zoom")
+EXAMPLES = ("lens_fast_prime", "hearts", "star_field", "night", "chromatic_ruler", "rolling_train", "dolly_zoom")
 
 
 def sized(scene: Scene, columns: int, rows: int, *samples: int) -> Scene:

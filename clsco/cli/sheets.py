@@ -17,7 +17,7 @@ from clsco.frame.views import Picture, flow_colors, viridis
 if TYPE_CHECKING:
     from clsco.reference.spreads import PsfStack
 
-DETAILS = ("cylinder_turning", "card", "road", "depth_map", "stereo")
+DETAILS = ("evening", "card", "road", "depth_map", "stereo")
 WIDE, NARROW = 300, 196  # px
 NOTHING, OCCLUDED = (225, 225, 222), (215, 60, 50)
 CELL, MOST_ACROSS = 144, 14  # px a side of a point spread function, and functions in a row

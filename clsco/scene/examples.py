@@ -10,18 +10,18 @@ from clsco.scene.model import Scene
 
 # Name of the example -> what its image shows. The first lines of each file give the same in numbers.
 EXAMPLES = {
-    "plane_tilted_both": "tilted plane, in focus along its diagonal",
-    "sphere": "sphere, in focus at its nearest point",
-    "saddle": "saddle, in focus along a hyperbola",
-    "tube": "inside of a tube",
-    "sphere_moving": "sphere moving to the right",
+    "evening": "balls before the lights of an evening",
+    "portrait": "doll before strings of lights",
+    "macro": "ladybird, close up",
+    "street": "tram passing",
+    "shutter": "propeller under a rolling shutter",
+    "night": "house at night, by a sensor",
+    "hearts": "lights through a heart",
+    "swirl": "cat's eyes of an old lens",
+    "coded": "lights through a coded aperture",
     "cylinder_turning": "cylinder coming nearer, turning",
     "card": "card with edges, turning",
     "road": "road from a moving car",
-    "rolling_fan": "fan under a rolling shutter",
-    "night": "ball at night, by a sensor",
-    "occlusion_near_sphere": "near sphere before a far plane",
-    "occlusion_three": "three objects, the column in focus",
     "depth_map": "image with a depth map",
     "stereo": "stereo pair, left view",
 }

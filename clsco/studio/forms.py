@@ -132,18 +132,18 @@ def panels(session: Document, index: int = 0) -> tuple[Panel, ...]:
     of_thesis = image, kind, taken(own), motion, taken(camera, "camera.")
     panels = [Panel(title, fields, True) for title, fields in zip(tables.THESIS_TITLES, of_thesis, strict=True)]
     rest: tuple[tuple[str, dict[str, Field], tuple[str, ...]], ...] = (
-        ("Texture on the surface", of_object, ("texture_",)),
-        ("Motion over time", of_object, ("motion.",)),
-        ("Name, pose and bounds", of_object, ("",)),
+        ("Texture", of_object, ("texture_",)),
+        ("Keyframes", of_object, ("motion.",)),
+        ("Pose", of_object, ("",)),
         ("PSF and method", scene, ("psf.", "aperture.")),
-        ("Sequence and motion in detail", scene, ("sequence.", "motion.", "camera.")),
-        ("Lens over time", scene, ("lens.keyframe", "lens.interpolation", "lens.outside")),
-        ("Lens that is not thin", scene, ("lens.",)),
-        ("Fill", scene, ("fill.",)),
+        ("Sequence", scene, ("sequence.", "motion.", "camera.")),
+        ("Focus pull", scene, ("lens.keyframe", "lens.interpolation", "lens.outside")),
+        ("Lens errors", scene, ("lens.",)),
+        ("Filling", scene, ("fill.",)),
         ("Light", scene, ("light.",)),
         ("Sensor", scene, ("sensor.",)),
         ("Stereo", scene, ("stereo.",)),
-        ("Title and image", scene, ("title", "image.")),
+        ("Image", scene, ("title", "image.")),
     )
     for title, source, starts in rest:
         keys = [key for key in source if key.startswith(starts)]

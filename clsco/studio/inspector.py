@@ -21,8 +21,7 @@ from clsco.reference.blur.blur import tilt_factor, within_rim
 from clsco.reference.common.geometry import blur_gradient, pixel_tilt
 from clsco.reference.spreads import behind_rims, spread_weights
 from clsco.scene.model import Scene
-from clsco.studio.lens import lens_figures
-from clsco.studio.pictures import eye_of
+from clsco.studio.pictures import eye_of, small_views
 
 PLOTTED = 32  # px from the center of a plot to its border
 
@@ -30,10 +29,9 @@ PLOTTED = 32  # px from the center of a plot to its border
 def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = False) -> dict[str, Any]:
     """All outputs of a frame, which has all ground truth, at a pixel, and figures derived from them.
 
-    Returns `index` and `eye` of the frame; `values` of the outputs by name, where None stands for infinity; and `lens`,
-    the `lens_figures` at the pixel's depth. If the pixel shows a surface, also `psf`, the result of `point_spread`, and
-    `unmeasured`, the reason why the response of the pixel's source cannot be measured, if there is one. is_tilted: True
-    if weights depend on the gradient of R.
+    Returns `index` and `eye` of the frame; and `values` of the outputs by name, where None stands for infinity. If
+    the pixel shows a surface, also `psf`, the result of `point_spread`, and `unmeasured`, the reason why the response
+    of the pixel's source cannot be measured, if there is one. is_tilted: True if weights depend on the gradient of R.
     """
     values: dict[str, Any] = {"x": x, "y": y}
     values["codes"] = _plain(encode(frame.color[y, x], min(frame.metadata["bits"], 16), scene.image.transfer))
@@ -61,7 +59,6 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         camera = camera_at(scene, middle_time(scene.sequence, frame.index))
         scene = scene.model_copy(update={"camera": camera, "lens": scene.lens and scene.lens.at_rest})
     across, up, _ = _ray(frame, scene, x, y)
-    found["lens"] = lens_figures(scene, depth, (float(across), float(up)))
     if radius is not None and values["mask"]:
         gradient = radius_gradient(frame, scene, x, y) if is_tilted else np.zeros(2)
         found["psf"] = point_spread(scene, radius, gradient, (across, up), 1.0 / depth if depth else 0.0)
@@ -69,6 +66,25 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
         if isinstance(source, str):
             found["unmeasured"] = source
     return found
+
+
+def overview(frame: Frame, scene: Scene) -> dict[str, Any]:
+    """Small views of a frame with all ground truth, and `ranges` of the visible objects: name, depth in mm of which 1 %
+    of their pixels are nearer, and of which 99 % are, None for infinity, and mean color.
+    """
+    assert frame.depth is not None
+    assert frame.object_id is not None
+    assert frame.sharp is not None
+    ranges = []
+    for number, item in enumerate(scene.objects):
+        seen = frame.object_id < 0 if item.is_background else frame.object_id == number
+        if seen.any():
+            ends = np.percentile(frame.depth[seen], (1, 99), method="nearest")
+            light = np.broadcast_to(frame.sharp[seen].mean(axis=0), 3)
+            codes = encode(light / max(float(light.max()), 1e-6) * 0.7, 8, "srgb")
+            name = item.name or item.shape.replace("_", " ")
+            ranges.append([name.capitalize(), *map(_plain, ends), f"#{bytes(codes.astype(np.uint8)).hex()}"])
+    return {"ranges": ranges, "views": small_views(frame, scene)}
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:

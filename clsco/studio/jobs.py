@@ -23,6 +23,7 @@ from clsco.errors import ClscoError
 from clsco.studio.background import Observable
 
 MOST = 500  # jobs in the list; beyond it, the oldest finished jobs are removed
+PAUSE = 4.0  # time without news of progress, in times that telling it took: pages list all pictures
 GRACE = 10.0  # s that a canceled command has to end
 RESULTS = (".png", ".mp4", ".webm")
 _LONGEST_LINE = 2**20  # bytes of a line that a command prints
@@ -81,6 +82,7 @@ class Jobs(Observable):
         self._numbers = itertools.count(1)
         self._turn = asyncio.Lock()
         self._tasks: dict[int, asyncio.Task[None]] = {}
+        self._next = 0.0  # time at which progress is told again
 
     def add(self, title: str, arguments: Sequence[str], output: str) -> CommandJob:
         """Start a command, or enqueue it behind others. Raises ClscoError as `require_free`."""
@@ -185,7 +187,9 @@ class Jobs(Observable):
         with suppress(ValueError, KeyError, TypeError):
             progress = json.loads(text)
             job.done, job.total = int(progress["done"]), int(progress["total"])
-            self._tell()
+            if (start := time.monotonic()) >= self._next or job.done == job.total:
+                self._tell()
+                self._next = time.monotonic() + PAUSE * (time.monotonic() - start)
         return True
 
 

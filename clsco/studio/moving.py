@@ -15,7 +15,7 @@ from clsco.optics.lens import ray_step
 from clsco.optics.lens_path import camera_at
 from clsco.optics.motion import Eye, eye_pose, static_rotation
 from clsco.scene.model import Camera, Plane
-from clsco.studio.preview import MEASURE, Preview
+from clsco.studio.preview import MEASURE, OVERVIEW, Preview
 from clsco.studio.session import Document
 
 # By shape, the key of an object's position, "" for none; all other shapes have the key `center`.
@@ -86,10 +86,11 @@ class Pointer:
         self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
     def ask(self, x: int, y: int, purpose: str = "") -> None:
-        """Send the figures of a pixel; if the purpose is MEASURE, send the response of the pixel's source instead."""
+        """Send the figures of a pixel, or for other purposes the response of its source or an overview."""
+        name = {MEASURE: "measured", OVERVIEW: "overview"}.get(purpose, "inspected")
 
         async def report(found: dict[str, Any]) -> None:
-            await self._preview.tell(**{"measured" if purpose == MEASURE else "inspected": found})
+            await self._preview.tell(**{name: found})
 
         self._preview.inspect(x, y, report, purpose)
 

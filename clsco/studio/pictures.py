@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import struct
@@ -88,13 +89,9 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     there are several) is NaN without a surface, so that such pixels do not look in focus. Raises SceneError if the view
     needs a sensor, and the scene has none.
     """
-    data: NDArray[Any] | None = getattr(frame, VIEWS[view])
+    data = _data_of(frame, view)
     if data is None:
         raise SceneError(f"view: {view} belongs to scenes with a sensor, which has a panel; got none")
-    if view == "blur radius" and data.ndim == 3:
-        data = data[..., GREEN]
-    if view == "blur radius" and frame.mask is not None:
-        data = np.where(frame.mask, data, np.nan)
     if view in IMAGES:
         is_exact = rung >= EXACT
         bits = min(frame.metadata["bits"], 16) if is_exact else 8
@@ -108,6 +105,26 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     is_kept = view == "color" and rung == EXACT
     small = _jpeg(encode(_shrunk(data), 8, scene.image.transfer), QUALITY[DRAGGING]) if is_kept else b""
     return ViewPicture(rung, view, (columns, rows), full, encoding, payload, seconds, eye=frame.eye, small=small)
+
+
+def _data_of(frame: Frame, view: str) -> NDArray[Any] | None:
+    data: NDArray[Any] | None = getattr(frame, VIEWS[view])
+    if view == "blur radius" and data is not None:
+        data = data[..., GREEN] if data.ndim == 3 else data
+        return np.where(frame.mask, data, np.nan) if frame.mask is not None else data
+    return data
+
+
+def small_views(frame: Frame, scene: Scene) -> dict[str, list[Any]]:
+    """Small pictures of a frame with all ground truth, by view: columns, rows, base64 of a JPEG or 32-bit floats."""
+    found: dict[str, list[Any]] = {}
+    for view in VIEWS:
+        if (data := _data_of(frame, view)) is not None:
+            small = _shrunk(data)
+            floats = np.ascontiguousarray(small, "<f4").tobytes
+            content = _jpeg(encode(small, 8, scene.image.transfer), QUALITY[DRAGGING]) if view in IMAGES else floats()
+            found[view] = [small.shape[1], small.shape[0], base64.b64encode(content).decode()]
+    return found
 
 
 def small_png(radiance: NDArray[Any]) -> bytes:

@@ -13,16 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.images import read_image
 from clsco.inputs.textures import bricks
 from clsco.resources import folder
-from clsco.scene.file import read_mapping, relocated
-from clsco.studio.folder import below, holds, keep_image
+from clsco.scene.file import read_mapping
 from clsco.studio.session import Document
 from clsco.studio.tables import Table
 
-IMAGES = "images"  # folder below the root for images of presets
+FIRST = "evening"  # the preset that a studio without a scene begins with
 OF_THE_THESIS = "Figures of the thesis"
 PICTURES = Path(__file__).parent / "static" / "presets"  # from python -m benchmarks.gallery
 _METHOD = ("psf", "image", "motion", "fill")  # sections that set the method, not the scene
@@ -59,24 +57,9 @@ def presets() -> tuple[ScenePreset, ...]:
 
 
 def load_preset(session: Document, name: str) -> None:
-    """Go to the scene of a preset, as an undo step; its images are copied below the root, which must be writable."""
-    preset = {each.name: each for each in presets()}[name]
-    table, start = read_mapping(str(preset.path), ()), preset.path.parent
-    if not start.is_relative_to(session.root):
-        table, start = relocated(table, lambda _, file: _copied(preset.path.parent / file, session.root)), session.root
-    session.load_table(table, start)
-
-
-def _copied(path: Path, root: Path) -> str:
-    """Copy a file below the root, so that a saved scene stays usable if the root is moved; returns the copy's name."""
-    content = path.read_bytes()
-    name = f"{IMAGES}/{path.name}"
-    target = below(root, name)
-    if not target.exists():
-        atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
-    elif not holds(target, content):  # another image has this name
-        return keep_image(root, content, path.suffix[1:])
-    return name
+    """Go to the scene of a preset, as an undo step."""
+    path = _shipped(f"{name}.toml")
+    session.load_table(read_mapping(str(path), ()), path.parent)
 
 
 def is_as_the_thesis(session: Document) -> bool:

@@ -29,6 +29,7 @@ from clsco.studio.renderers import kind_of
 REST = 0.120  # s without a change after which the exact picture is rendered
 LATEST = 1e9  # s, of a time sample
 MEASURE = "measure"  # purpose of a question about the response of a source
+OVERVIEW = "overview"  # purpose of a question about the whole frame
 MOST_UNSEEN = 2  # largest number of pictures that are sent, but not painted yet
 _MOST_CRASHES = 3  # crashes after which a scene is not tried again: of both renderers, and of a restarted one
 
@@ -163,7 +164,7 @@ class Preview:
         Only the latest request with each purpose is answered. If the purpose is MEASURE, the response of the pixel's
         source is measured instead. After `stop`, pixels under the cursor (purpose "") have no answer.
         """
-        if self._is_stopped and not purpose:
+        if self._is_stopped and purpose in ("", OVERVIEW):
             return
         self._asked[purpose] = x, y, report
         self._news.set()
@@ -324,7 +325,7 @@ class Preview:
         self._is_exact_underway = True
         scene, index = self._at_rest(self._session.scene)
         try:
-            question = Question(scene, index, x, y, self._eye, purpose == MEASURE)
+            question = Question(scene, index, x, y, self._eye, purpose == MEASURE, purpose == OVERVIEW)
             await report(await self._answer(self._renderer.inspect(question, self._watch)))
         except CanceledError:
             if self._stops == stops:

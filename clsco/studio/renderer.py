@@ -23,7 +23,7 @@ from clsco.plan.prepare import prepare, with_resolution
 from clsco.plan.request import Request
 from clsco.resources import machine_bytes
 from clsco.scene.model import Scene
-from clsco.studio.inspector import figures_of, inspected, source_of
+from clsco.studio.inspector import figures_of, inspected, overview, source_of
 from clsco.studio.ladder import Ladders, coarser, plan_line, unblurred, ways_of, work_of
 from clsco.studio.pictures import (
     DRAGGING,
@@ -70,6 +70,7 @@ class Question:
     y: int
     eye: Eye = "left"
     measures: bool = False  # True for the response of the pixel's source, which needs another rendering
+    is_overview: bool = False  # True for small views of the whole frame, whatever the pixel
 
     @property
     def frame(self) -> tuple[Scene, int, Eye]:
@@ -130,6 +131,7 @@ class RendererProcess:
         Returns the figures of `clsco.studio.inspector.inspected`, and `seconds`, the time that a measurement would
         take. If the question measures, returns instead `x`, `y`, and `response`, the figures of the response from
         `clsco.studio.inspector.figures_of`; or `unmeasured`, the reason why it was not measured.
+        An overview returns the figures of `clsco.studio.inspector.overview`.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
@@ -399,6 +401,8 @@ class _RenderWorker:
 
     def _inspect(self, number: int, question: Question) -> dict[str, Any]:
         known, scene = self._frame_of(number, question), question.scene
+        if question.is_overview:
+            return overview(known.frame, scene)
         rows, columns = known.frame.color.shape[:2]
         x, y = min(question.x, columns - 1), min(question.y, rows - 1)
         if not question.measures:

@@ -36,8 +36,8 @@ from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
-from clsco.studio.presets import choose_method
-from clsco.studio.preview import MEASURE, Preview
+from clsco.studio.presets import FIRST, choose_method, load_preset
+from clsco.studio.preview import MEASURE, OVERVIEW, Preview
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
@@ -95,11 +95,13 @@ class Studio:
         self.state.remove(*(path.name for path in pictures))
 
     def new_session(self) -> Document:
-        """A session with the scene of the command line."""
+        """A session with the scene of the command line, or the first preset."""
         session = Document(self.root)
         if self.scene is not None:
             session.open(self.scene.absolute())
-            session.forget_past()
+        else:
+            load_preset(session, FIRST)
+        session.forget_past()
         return session
 
     async def tab(self, name: str = "") -> str:
@@ -282,6 +284,8 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
             pointer.ask(x, y)
         case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y, MEASURE)
+        case {"overview": True}:
+            pointer.ask(0, 0, OVERVIEW)
         case {"focus": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:
             pointer.focus(x, y, drag)
         case {"grab": [int(x), int(y)], "drag": int(drag)} if min(x, y) >= 0:

@@ -11,18 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from clsco.errors import FileError, SceneError
-from clsco.files.atomic import atomic_write_bytes
+from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.resources import ExposedFolderError, private_folder, read_regular, temporary_folder
 from clsco.scene.faults import items
 from clsco.scene.file import read_mapping, relocated
+from clsco.scene.quantities import Location
 from clsco.scene.texture_keys import is_drawn
 from clsco.studio import store
 from clsco.studio.editing import Editor, State
-from clsco.studio.folder import below
+from clsco.studio.folder import below, holds, keep_image
 from clsco.studio.store import ConflictError, Linked, moved
 from clsco.studio.tables import Table
 
 __all__ = ["ConflictError", "Document"]
+IMAGES = "images"  # folder below the root for copies of images of examples
 
 
 class Document(Editor):
@@ -145,8 +147,21 @@ class Document(Editor):
         target = self.inside(path or self.path or Path())
         if target.suffix.lower() not in (".toml", ".json"):
             raise SceneError(f"{target.name}: a scene file must end in .toml or .json")
-        table = moved(self.table, self.folder, target.parent)
+        table = moved(relocated(self.table, self._copied), self.folder, target.parent)
         return target, store.scene_text(table, target, self.path), table
+
+    def _copied(self, _: Location, name: str) -> str:
+        """Name of a file that a saved scene refers to: an example's image is copied below the root."""
+        path = Path(name)
+        if not path.is_absolute() or path.is_relative_to(self.root):
+            return name
+        content, copy = path.read_bytes(), f"{IMAGES}/{path.name}"
+        target = below(self.root, copy)
+        if not target.exists():
+            atomic_write_bytes(make_writable_folder(target.parent) / target.name, content)
+        elif not holds(target, content):  # another image has this name
+            copy = keep_image(self.root, content, path.suffix[1:])
+        return os.path.relpath(self.root / copy, self.folder)
 
 
 KEY, KEY_BYTES = "key", 32

@@ -18,6 +18,7 @@ from clsco.scene.texture_keys import Textured
 THESIS_TITLES = (
     "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters", "Camera Specifications",
 )  # fmt: skip
+ON_THE_STRIP = ("camera.focus_distance", "camera.f_number")  # keys whose only boxes are on the strip of the lens
 SHAPE_LABELS = {
     "plane": "Planar", "cylinder": "Cylindrical", "sphere": "Spherical", "cone": "Conical", "ellipsoid": "Elliptical",
     "quadric": "Quadric", "depth_map": "Depth map",

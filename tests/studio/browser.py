@@ -18,12 +18,12 @@ from tests.studio.running import Running
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 DRAG = """async ([path, first, last, steps, rate]) => {
-  const slider = document.querySelector(`input[type=range][data-path="${path}"]`);
-  const times = [], before = studio.revision, start = performance.now();
+  const slider = document.querySelector(`input[type=range][data-path="${path}"]`), times = [];
+  const before = studio.revision, start = performance.now(), sleep = (ms) => new Promise((end) => setTimeout(end, ms));
   studio.painted.length = 0;
   for (let step = 1; step <= steps; step += 1) {
     const wait = start + (1000 * step) / rate - performance.now();
-    if (wait > 0) await new Promise((done) => setTimeout(done, wait));
+    if (wait > 0) await sleep(wait);
     slider.value = studio.placeOf(slider, first + ((last - first) * step) / steps);
     times.push(performance.now());
     slider.dispatchEvent(new Event("input", { bubbles: true }));
@@ -31,9 +31,7 @@ DRAG = """async ([path, first, last, steps, rate]) => {
   const released = performance.now();
   slider.dispatchEvent(new Event("change", { bubbles: true }));
   while (performance.now() - released < 5000 && !(studio.rung === 2 && studio.revision >= before + 1
-    && studio.painted.at(-1)?.[2] > released && studio.painted.at(-1)[1] === 2)) {
-    await new Promise((done) => setTimeout(done, 5));
-  }
+    && studio.painted.at(-1)?.[2] > released && studio.painted.at(-1)[1] === 2)) await sleep(5);
   return { before, times, released, painted: studio.painted.slice(), revision: studio.revision };
 }"""
 
@@ -125,8 +123,23 @@ WALL = '[[object]]\nname = "wall"\nshape = "plane"\ndistance = 300.0\ntexture = 
 
 
 def box(page: Any, path: str) -> Any:
-    """The box of a key."""
-    return page.locator(f'#panels [data-path="{path}"]:not([type=range])')
+    """The box of a key, whose panel is unfolded."""
+    found = page.locator(f':is(#panels, #lens-strip) [data-path="{path}"]:not([type=range])')
+    found.first.evaluate("each => { const panel = each.closest('details'); if (panel) panel.open = true; }")
+    return found
+
+
+def unfold(page: Any, title: str) -> None:
+    """Unfold a panel, which is added if the scene does not use it."""
+    found = page.locator(f".panel:not([open]) > summary:has-text('{title}'), .chip:has-text('{title}')")
+    if found.count():
+        found.first.click()
+
+
+def from_menu(page: Any, name: str) -> None:
+    """Choose an entry of the menu of the scene."""
+    page.locator("#scene").click()
+    page.locator("#menu").get_by_role("button", name=name, exact=True).click()
 
 
 def number(page: Any, path: str) -> float:
@@ -145,6 +158,7 @@ def type_in(page: Any, path: str, value: str) -> None:
 
 def choose(page: Any, shape: str) -> None:
     """Choose an object type, and wait for its panel."""
+    unfold(page, "Select Object Type")
     page.get_by_role("radio", name=shape, exact=True).check()
     page.wait_for_function(f"studio.values['object.0.shape'] === '{SHAPES[shape]}'", timeout=20000)
     path = {"Planar": "distance", "Conical": "apex.2"}.get(shape, "center.2")
@@ -154,7 +168,7 @@ def choose(page: Any, shape: str) -> None:
 def open_scene(page: Any, name: str) -> None:
     """Open a scene of the folder."""
     before = page.evaluate("studio.revision")
-    page.get_by_role("button", name="Open", exact=True).click()
+    from_menu(page, "Open")
     page.get_by_role("button", name=name, exact=True).click()
     page.locator("dialog[open]").wait_for(state="hidden")
     page.wait_for_function(f"studio.revision > {before}")

@@ -18,6 +18,8 @@ import httpx
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+START = '[[object]]\nshape = "plane"\n'
+
 
 @dataclass(frozen=True)
 class Running:
@@ -74,7 +76,11 @@ def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
 
 @contextmanager
 def studio(root: Path, *arguments: str, browser: str = "") -> Iterator[Running]:
-    """Start `clsco studio`, and end it, without a traceback; browser: a command that it opens, else there is none."""
+    """Start `clsco studio`, by default with START, and end it, without a traceback; browser: what it opens."""
+    if not any(word.endswith(".toml") for word in arguments):
+        root.mkdir(exist_ok=True)
+        (root / "start.toml").write_text(START)
+        arguments = (*arguments, str(root / "start.toml"))
     command = [str(Path(sys.executable).parent / "clsco"), "studio", "--root", str(root), *arguments]
     command += [] if browser else ["--no-browser"]
     environment = {**os.environ, "BROWSER": browser}

@@ -188,7 +188,7 @@ def test_time_samples_are_counted_and_esc_ends_them(moving: Any) -> None:
     moving.evaluate("studio.set('sequence.samples', 2000)")
     shown = f"!{progress}.hidden && {progress}.textContent.includes('of 2000 · Esc cancels')"
     moving.wait_for_function(shown, timeout=40000)
-    moving.get_by_role("tab", name="depth").focus()  # the page is alive
+    moving.get_by_role("tab", name="Depth").focus()  # the page is alive
     moving.keyboard.press("Escape")
     moving.wait_for_function(f"{progress}.textContent.includes('canceled')")
     moving.wait_for_timeout(1500)
@@ -270,10 +270,3 @@ def test_the_right_eye_of_a_pair_is_seen(page: Any) -> None:
     page.wait_for_function("document.querySelector('#eye').hidden")
     rest(page)
     assert page.locator("#eye").get_attribute("aria-pressed") == "false"
-
-
-def test_the_header_says_what_the_picture_takes(page: Any) -> None:
-    passes, time, memory = page.locator("#plan").inner_text().split(", ")
-    assert passes.endswith(" passes")
-    assert time.endswith(("ms", " s"))
-    assert memory.endswith(" MiB")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import clsco
-from clsco.studio.inspector import PLOTTED, figures_of, inspected, point_spread, radius_gradient, source_of
+from clsco.studio.inspector import PLOTTED, figures_of, inspected, overview, point_spread, radius_gradient, source_of
 from tests.scenes import scene_from
 
 TABLES: dict[str, Any] = {"camera": {"resolution": [48, 40], "pixel_pitch": 0.05, "aperture_diameter": 40.0}}
@@ -71,6 +71,17 @@ def test_a_source_is_where_its_point_was_in_the_reference_pose() -> None:
     assert source == (round(30 - 11 * 20 / 0.05 / depth), round(18 + 5.5 * 20 / 0.05 / depth), 0)  # at 1.1 s
     measured = clsco.response(scene, *source[:2], 1)
     assert figures_of(measured, 30, 18)["centroid"] == pytest.approx([0.0, 0.0], abs=0.5)
+
+
+def test_an_overview_has_depths_of_the_objects_and_small_views() -> None:
+    scene = scene_from(TABLES, BALL | {"name": "ball"}, WALL)
+    frame: Any = clsco.render_frame(scene)
+    found = overview(frame, scene)
+    assert [entry[0] for entry in found["ranges"]] == ["Ball", "Plane"]
+    for number, (_, *ends, _) in enumerate(found["ranges"]):
+        assert ends == pytest.approx(np.percentile(frame.depth[frame.object_id == number], (1, 99)), rel=2e-3)
+    columns, rows, text = found["views"]["depth"]
+    assert np.array_equal(np.frombuffer(base64.b64decode(text), "<f4").reshape(rows, columns), frame.depth)
 
 
 def test_what_has_no_source_says_why() -> None:

@@ -24,6 +24,7 @@ PLACES = ((0.17, 0.42), (0.52, 0.501), (0.8, 0.2))  # not between two pixels
 @pytest.fixture
 def page(running: Running) -> Iterator[Any]:
     with opened(running) as shown:
+        shown.keyboard.press("i")
         shown.evaluate("""() => studio.hearing.push((said) => {
           for (const name of ["inspected", "measured"]) if (said[name]) window[`latest_${name}`] = said[name];
         })""")

@@ -152,6 +152,7 @@ def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
 
 
 def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
+    page.locator("#comparing").click()
     page.select_option("#pin", "this")
     page.locator("#wipe").fill("50")
     found = until_drawn(page, YELLOW, 100)

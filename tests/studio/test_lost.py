@@ -17,7 +17,7 @@ from clsco.resources import processors
 from clsco.scene.sweep import parse_sweep
 from clsco.studio.session import Document
 from clsco.studio.store import from_link
-from tests.studio.browser import EXAMPLES, box, chromium, number, open_scene, rest, type_in
+from tests.studio.browser import EXAMPLES, box, chromium, from_menu, number, open_scene, rest, type_in
 from tests.studio.running import studio, until
 
 SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
@@ -85,7 +85,7 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             assert number(page, "object.0.radius") == 27.5
             assert page.locator("#lost").is_hidden()
             type_in(page, "camera.aperture_diameter", "9")
-            page.locator("#save").click()
+            from_menu(page, "Save")
             page.wait_for_timeout(700)
             assert "radius = 27.5" in (tmp_path / "sphere.toml").read_text()  # no question: the file is as it was
 

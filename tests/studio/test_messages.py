@@ -23,7 +23,7 @@ from tests.studio.test_store import linked
 GOOD: tuple[dict[str, Any], ...] = (
     {"ack": [1, 2]}, {"path": "object.0.distance", "value": 300.0, "drag": 3}, {"hidden": False},
     {"watch": ["title"]}, {"watch": ["camera.__class__", "object.0.model_fields", "a" * 9999, "a..b"]},
-    {"at": [1, 2]}, {"measure": [1, 2]}, {"focus": [1, 2], "drag": 4},
+    {"at": [1, 2]}, {"measure": [1, 2]}, {"overview": True}, {"focus": [1, 2], "drag": 4},
     {"grab": [1, 2], "drag": 5}, {"pull": [1.0, 2.0], "along": True, "drag": 5}, {"link": "#s=q1YqUbKqjq0FAA"},
     {"keyframe": "object.0.motion.keyframe", "add": 0.5}, {"keyframe": "lens.keyframe", "remove": 0},
     {"do": "pin thesis"}, {"do": "cancel"}, {"do": "keep"}, {"do": "undo"}, {"do": "redo"}, {"do": "reset"},

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 from clsco.cli.main import main
 from clsco.studio.pictures import VIEWS
 from clsco.studio.presets import presets
-from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, chromium, number, open_scene, rest, type_in
+from tests.studio import browser
+from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, number, open_scene, rest, type_in, unfold
 from tests.studio.running import Running
 from tests.studio.test_jobs import written
 
@@ -29,11 +30,12 @@ CHECKLIST = {  # labels and values of some boxes of the five panels; tests/studi
 
 @pytest.mark.everyday
 def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
-    titles = page.locator("#panels summary").all_inner_texts()
+    titles = page.locator("#panels summary h2").all_inner_texts()
     assert titles[:5] == [
         "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters",
         "Camera Specifications",
     ]  # fmt: skip
+    unfold(page, "Select Object Type")
     shapes = page.locator('[role=radiogroup][aria-label="Object type"] label, .shapes label').all_inner_texts()
     assert [text.strip() for text in shapes][:5] == list(SHAPES)
     assert page.get_by_role("radio", name="Planar", exact=True).is_checked()
@@ -53,6 +55,7 @@ def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
 
 
 def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
+    unfold(page, "Motion parameters")
     page.get_by_label("Translation", exact=True).check()
     page.locator('input[data-kind][data-path="object.0.motion.velocity.0"]:enabled').wait_for()
     type_in(page, "object.0.motion.velocity.0", "3")
@@ -105,7 +108,7 @@ def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label:
 )
 def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
     (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]
-    page.get_by_role("button", name="Presets").click()
+    browser.from_menu(page, "Presets")
     page.get_by_role("button", name=title, exact=True).click()
     page.wait_for_function("(title) => document.querySelector('#title').textContent.includes(title)", arg=title[:12])
     rest(page)
@@ -131,6 +134,7 @@ def assert_made_by_the_command(folder: Path, scene: Path, other: Path) -> None:
 
 
 def test_a_slider_is_worked_by_keys(page: Any) -> None:
+    unfold(page, "Camera Specifications")
     slider = page.locator('#panels input[type=range][data-path="camera.sensor_distance"]')
     step, start = float(slider.get_attribute("data-step")), number(page, "camera.sensor_distance")
     slider.focus()
@@ -172,7 +176,7 @@ def test_a_hostile_page_gets_nothing(running: Running) -> None:
         await reads(`${origin}/`, { credentials: "include" }),
         await reads(`${origin}/texture?tab=x&kind=png`, { method: "POST", body: "x" })];
     }"""
-    with chromium() as context:
+    with browser.chromium() as context:
         context.new_page().goto(running.address)  # the cookie is there
         hostile = context.new_page()
         hostile.route("http://evil.example/**", lambda route: route.fulfill(body="<p>hello", content_type="text/html"))

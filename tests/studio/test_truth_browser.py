@@ -26,13 +26,11 @@ VALUES: dict[str, tuple[Any, ...]] = {
 }
 WRONG = {"camera.focus_distance": (5, "near"), "camera.f_number": (-1,), "object.0.distance": (0,)}
 WALK = """async ([path, value, wait, paths]) => {
-  const box = (name) => document.querySelector(`#panels [data-path="${name}"]:not([type=range])`);
-  if (path === "undo" || path === "redo") document.querySelector(`#${path}`).click();
-  else {
-    const control = box(path);
-    control.value = value;
-    for (const kind of ["input", "change"]) control.dispatchEvent(new Event(kind, { bubbles: true }));
-  }
+  const box = (name) => document.querySelector(`:is(#panels, #lens-strip) [data-path="${name}"]:not([type=range])`);
+  const control = box(path);
+  if (control === null) document.querySelector(`#${path}`).click(); // undo or redo
+  else control.value = value;
+  for (const kind of ["input", "change"]) control?.dispatchEvent(new Event(kind, { bubbles: true }));
   let isExact = false;
   const found = new Map(), start = performance.now(), canvas = document.querySelector("#canvas");
   do {

@@ -85,7 +85,7 @@ const difference = (canvas, over, factor) => { // shown in place of the pinned f
 studio.overlays.push((context, place) => { // the line of the wipe, and what is on both sides of it
   if (mode !== "wipe" || flipped || one("#pinned").hidden) return;
   const [x] = place((one("#wipe").value / 100) * one("#canvas").width - 0.5, 0), { height } = context.canvas;
-  for (const [width, color] of /** @type {[number, string][]} */ ([[4, "#141517"], [2, "#ffd24d"]])) { // the first is its edge
+  for (const [width, color] of /** @type {[number, string][]} */ ([[4, "#141517"], [2, MARK]])) { // the first is its edge
     context.fillStyle = color;
     context.fillRect(Math.round(x) - width / 2, 0, width, height);
   }

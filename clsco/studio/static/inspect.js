@@ -1,14 +1,16 @@
 // What is known of the pixel under the cursor, and how the light of its source spreads.
 
+import { RUNG } from "./protocol.js";
 import { made, one, studio } from "./shared.js";
 
+const IDLE = 400; // ms after an exact frame
 const SOON = 0.1, REST = 150; // s up to which a response is measured unasked; ms of rest before that
 const PLOTTED = 32; // px from the middle of a plot to its border
 
 // ---- values under the cursor ------------------------------------------------------------------------------------
 /** @type {[number, number] | null} */
 let at = null;
-let asked = false, again = false, drag = 1e6;
+let asked = false, again = false, drag = 1e6, idle = 0;
 const ask = () => {
   if (at === null || studio.isCanceled()) return;
   if (asked) { again = true; return; }
@@ -33,7 +35,7 @@ const ROWS = [
 
 const row = (label, ...texts) => made("tr", {}, made("th", { scope: "row" }, label), ...texts.map((text) => made("td", {}, text)));
 
-const inspected = ({ values, psf, lens, unmeasured, seconds }) => {
+const inspected = ({ values, psf, unmeasured, seconds }) => {
   asked = false;
   studio.done();
   one("#pixel").textContent = `x ${values.x}, y ${values.y}`;
@@ -43,11 +45,11 @@ const inspected = ({ values, psf, lens, unmeasured, seconds }) => {
   }));
   shownAt = [values.x, values.y];
   model = psf;
+  studio.describe(values);
   depth = values.depth;
   response = null;
   one("#psf-part").hidden = psf === undefined;
   spread();
-  diagram(lens);
   measurable(psf === undefined ? "no surface" : unmeasured, seconds);
   if (again) { again = false; ask(); }
 };
@@ -97,6 +99,7 @@ const spread = () => {
   const side = 2 * Math.min(PLOTTED, Math.ceil(1.3 * Math.max(model.reach, response?.reach ?? 0)) + 2) + 1;
   plot(one("#psf"), model, side);
   plot(one("#response"), response, side);
+  plot(one("#spot"), model, 2 * Math.min(PLOTTED, Math.ceil(1.25 * model.reach) + 2) + 1);
   one("#psf-side").textContent = `${side} × ${side} px about the source, each as bright as its largest weight`;
   const rows = [["Sum", "sum"], ["Centroid, px", "centroid"], ["RMS per axis, px", "rms"], ["Largest weight", "largest"]];
   one("#psf-values").replaceChildren(...rows.map(([label, name]) => row(label, rounded(weights[name]), rounded(response?.[name]))));
@@ -120,50 +123,6 @@ const plot = (canvas, weights, seen) => { // the middle of what there is, `seen`
   context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
 };
 
-const diagram = (lens) => { // a schema: distances before the lens by their inverse, those behind it stretched
-  const canvas = one("#lens"), context = canvas.getContext("2d"), { width, height } = canvas;
-  const middle = height / 2 - 6, glass = 176, half = 30;
-  const inverse = (distance) => (distance === null ? 0 : 1 / distance);
-  const most = 1.5 * Math.max(inverse(lens.focus), inverse(lens.near), inverse(lens.depth), 1e-9);
-  const before = (distance) => 8 + (glass - 30) * (inverse(distance) / most);
-  context.clearRect(0, 0, width, height);
-  context.font = "11px system-ui, sans-serif";
-  context.textAlign = "center";
-  context.fillStyle = "#2f4a35";
-  context.fillRect(before(lens.far), middle - 34, before(lens.near) - before(lens.far), 68);
-  const stroke = (color, ...points) => {
-    context.strokeStyle = color;
-    context.beginPath();
-    points.forEach(([x, y], index) => (index ? context.lineTo(x, y) : context.moveTo(x, y)));
-    context.stroke();
-  };
-  stroke("#777", [0, middle], [width, middle]);
-  stroke("#7fd68a", [before(lens.focus), middle - 34], [before(lens.focus), middle + 34]);
-  context.strokeStyle = "#6cb6ff";
-  context.beginPath();
-  context.ellipse(glass, middle, 6, half, 0, 0, 2 * Math.PI);
-  context.stroke();
-  const detector = glass + 64;
-  stroke("#e9eaec", [detector, middle - 34], [detector, middle + 34]);
-  if (lens.radius !== undefined) {
-    const image = lens.image === null ? detector + 60
-      : glass + 64 * Math.min(Math.max(1 + 12 * (lens.image / lens.sensor - 1), 0.25), 2);
-    for (const side of [-1, 1]) {
-      const far = detector + 40, rim = middle + side * half;
-      stroke("#ffb457", [before(lens.depth), middle], [glass, rim], [far, rim + ((middle - rim) * (far - glass)) / (image - glass)]);
-    }
-    context.fillStyle = "#ffb457";
-    context.beginPath();
-    context.arc(before(lens.depth), middle, 3, 0, 2 * Math.PI);
-    context.fill();
-  }
-  context.fillStyle = "#e9eaec";
-  context.fillText("lens", glass, height - 4);
-  context.fillText("detector", detector, height - 4);
-  one("#lens-about").textContent = `In focus ${number(lens.focus)} mm; |R| below 0.5 px from ${number(lens.near)} to ${number(lens.far)} mm; `
-    + `f ${number(lens.focal_length)}, D ${number(lens.aperture)}, s ${number(lens.sensor)} mm; point at ${number(lens.depth)} mm`;
-};
-
 const pointer = () => {
   const stage = one("#stage");
   stage.addEventListener("pointermove", (event) => {
@@ -181,7 +140,13 @@ const pointer = () => {
     studio.take("");
   });
 };
-studio.rested = ask;
+studio.rested = () => { // before the pointer was in the picture, of its middle; and, once nothing changes, of the whole frame
+  const { width, height } = one("#canvas");
+  at ??= [Math.floor(width / 2), Math.floor(height / 2)];
+  ask();
+  clearTimeout(idle);
+  idle = setTimeout(() => { if (studio.rung === RUNG.EXACT && !studio.isCanceled()) studio.send({ overview: true }); }, IDLE);
+};
 
 studio.extra = (event) => {
   if (event.key === "f" || event.key === "F") studio.take("focus");

@@ -1,7 +1,6 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
 import "./handles.js";
-import "./narrow.js";
 import "./tour.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
@@ -111,21 +110,24 @@ const choose = (index) => {
 };
 studio.chosen = () => chosen;
 
-let awaited = false, pressed = [0, 0];
+/** @type {[number, number] | null} */
+let awaited = null; // the pixel that was clicked
+let pressed = [0, 0];
 const clicks = () => {
   const stage = one("#stage");
   stage.addEventListener("pointerdown", (event) => { pressed = [event.clientX, event.clientY]; });
   stage.addEventListener("click", (event) => {
     const moved = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 3;
-    awaited = !moved && !studio.tool && studio.viewport.pixelAt(event.clientX, event.clientY) !== null;
-    if (awaited) studio.send({ at: studio.viewport.pixelAt(event.clientX, event.clientY) });
+    awaited = moved || studio.tool ? null : studio.viewport.pixelAt(event.clientX, event.clientY);
+    if (awaited) studio.send({ at: awaited });
   });
 };
 
 studio.hearing.push((said) => {
-  if (!said.inspected || !awaited) return;
-  awaited = false;
-  choose(said.inspected.values.object_id ?? -1);
+  const { x, y, object_id: object } = said.inspected?.values ?? {};
+  if (awaited === null || x !== awaited[0] || y !== awaited[1]) return;
+  awaited = null;
+  choose(object ?? -1);
 });
 
 // ---- scale bar and field of view, at the distance in focus ----------------------------------------------------------

@@ -1,46 +1,150 @@
-// The strip above the picture: what the lens has in focus, and the lens drawn small.
+// The strip of the lens: iris, ruler of depth with the V of the blur, and the point in the picture.
 
 import { brief, placeOf } from "./scales.js";
 import { all, one, reword, studio } from "./shared.js";
 
-const GLASS = 78, AXIS = 15; // px in the drawing
-const inverse = (distance) => (distance === null ? 0 : 1 / distance); // null: infinite
-const distance = (value) => (value === null ? "∞" : brief(Number(value.toPrecision(4))));
+const SHARP = 0.5; // px, |R| below which a point is in focus
+const TOP = 40; // px of blur disc up to which the V is drawn to scale
+const BLADES = 9, WIDEST = 1.4;
+const FOCUS = "camera.focus_distance", STOP = "camera.f_number";
+const rounded = (value) => brief(Number(value.toPrecision(Math.max(3, Math.ceil(Math.log10(value))))));
+const marked = (value) => (value >= 1000 ? `${brief(Number((value / 1000).toPrecision(2)))} m` : brief(Number(value.toPrecision(3))));
+const slider = () => one(`#ruler [data-path="${FOCUS}"]`);
 
-const draw = ({ focus, near, far, focal_length: f, aperture }) => { // before the lens by the inverse of the distance
-  const canvas = one("#lens-small"), context = canvas.getContext("2d"), { width, height } = canvas;
-  const most = 1.6 * Math.max(inverse(near), inverse(focus), 1e-9), at = (value) => 2 + ((GLASS - 12) * inverse(value)) / most;
-  const half = Math.min(Math.max((13 * aperture * 1.4) / f, 1), 13);
-  context.clearRect(0, 0, width, height);
-  context.fillStyle = "#3a6b45";
-  context.fillRect(at(far), 2, Math.max(at(near) - at(far), 1), height - 4);
-  context.fillStyle = "rgb(255 180 87 / 45%)"; // the light of a point in focus
-  context.beginPath();
-  for (const [x, y] of [[at(focus), AXIS], [GLASS, AXIS - half], [width - 6, AXIS], [GLASS, AXIS + half]]) context.lineTo(x, y);
-  context.fill();
-  context.strokeStyle = "#6cb6ff";
-  context.beginPath();
-  context.ellipse(GLASS, AXIS, 4, 14, 0, 0, 2 * Math.PI);
-  context.stroke();
-  context.strokeStyle = "#e9eaec"; // blades and detector
-  context.beginPath();
-  for (const [x, y0, y1] of [[GLASS, 0, AXIS - half], [GLASS, AXIS + half, height], [width - 6, 3, height - 3]]) {
-    context.moveTo(x, y0);
-    context.lineTo(x, y1);
-  }
-  context.stroke();
+const svg = (parts) => parts.map(([tag, attributes, text = ""]) => {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
+  element.textContent = text;
+  return element;
+});
+
+// ---- iris -------------------------------------------------------------------------------------------------------
+const iris = ({ focal_length: f, aperture }) => {
+  const open = Math.min((WIDEST * aperture) / f, 1), radius = 8 + 40 * open, flat = radius * Math.cos(Math.PI / BLADES);
+  const blades = Array.from({ length: BLADES }, (_, k) => ["path", {
+    d: `M ${flat} -34 L ${flat} 34 L 54 34 L 54 -34 Z`, transform: `rotate(${(360 * k) / BLADES + 60 * (1 - open)})`, fill: "var(--blade)",
+    stroke: "var(--blade-edge)", "stroke-width": 0.8,
+  }]);
+  const ring = (r, attributes) => ["circle", { r, ...attributes }];
+  one("#blades").replaceChildren(...svg([
+    ring(54, { fill: "var(--black)" }), ring(radius + 3, { fill: "var(--glow)" }), ...blades,
+    ring(57, { fill: "none", stroke: "var(--panel)", "stroke-width": 7 }), ring(57, { fill: "none", stroke: "var(--edge)", "stroke-width": 2 }),
+  ]));
+  reword(one("#open"), `${brief(Number(aperture.toPrecision(3)))} mm open`);
+  for (const button of all("#stops button")) button.setAttribute("aria-checked", String(Math.abs(Number(button.dataset.stop) - f / aperture) < 0.01));
 };
 
-studio.hearing.push(({ lens }) => {
-  if (!lens) return;
-  studio.lens = lens;
-  const depth = lens.far === null ? "to infinity" : `${brief(Number((lens.far - lens.near).toPrecision(3)))} mm deep`;
-  reword(one("#in-focus"), `sharp ${distance(lens.near)} – ${distance(lens.far)} mm, ${depth}`);
-  for (const slider of all('input[type=range][data-path="camera.focus_distance"]')) { // its ends follow the focal length
-    [slider.min, slider.max] = lens.ends.map((end) => placeOf(slider, end));
-    slider.dataset.step = String((Number(slider.max) - Number(slider.min)) / 200);
-    if (typeof studio.values[slider.dataset.path] === "number") slider.value = placeOf(slider, studio.values[slider.dataset.path]);
+// ---- ruler: dioptres from left to right, to infinity -----------------------------------------------------------------
+/** @type {[string, number, number | null, string][]} */
+let objects = []; // name, nearest and farthest depth in mm, color
+
+const NEARER = { 1: 0.8, 8: 6 / 8, 6: 5 / 6, 5: 4 / 5, 4: 3 / 4, 3: 2 / 3, 2: 1 / 2 }; // to the next round distance, by the digit
+
+/** Round distances from far to near, as far as there is room, and whether there is room for their names. */
+const marks = (at, middle, most) => {
+  const found = /** @type {[number, boolean][]} */ ([]);
+  let named = at(0) - 36 + 44, last = at(0);
+  for (let depth = 10 ** Math.ceil(Math.log10(40 / most)); depth * most > 1 && found.length < 60;) {
+    const x = at(1 / depth), isNamed = named - x > 44 && Math.abs(x - middle) > 18;
+    if (last - x > 22) {
+      found.push([depth, isNamed]);
+      last = x;
+      if (isNamed) named = x;
+    }
+    depth *= NEARER[Math.round(depth / 10 ** Math.floor(Math.log10(depth) + 1e-9))];
   }
-  draw(lens);
-  studio.viewport.changed();
+  return found;
+};
+
+const ruler = (lens) => {
+  const { clientWidth: width, clientHeight: height } = one("#ruler"), most = -Number(slider().min);
+  if (!width || !lens) return;
+  const tight = height < 70, top = tight ? 14 : 24, base = height - (tight ? 16 : 32);
+  const at = (power) => 8 + (width - 16) * (1 - Math.min(Math.max(power, 0), most) / most);
+  const inverse = (depth) => (depth === null ? 0 : 1 / depth);
+  const power = inverse(lens.focus), near = inverse(lens.near), blur = SHARP / (near - power); // px of |R| per 1/mm
+  const tall = (base - top) / (TOP / 2 + 10), high = (each) => Math.max(top, base - Math.abs(each - power) * blur * tall);
+  const reach = (base - top) / tall / blur, ends = [most, Math.min(most, power + reach), power, Math.max(0, power - reach), 0];
+  const v = ends.map((each) => `${at(each)} ${high(each)}`).join(" L "), middle = at(power), parts = [];
+  const text = (x, y, words, attributes = {}) => parts.push(["text", { x, y, "text-anchor": "middle", ...attributes }, words]);
+  const line = (x1, y1, x2, y2, stroke, more = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...more }]);
+  parts.push(["path", { d: `M ${v} L ${at(0)} ${base} L ${at(most)} ${base} Z`, fill: "var(--soft)" }]);
+  parts.push(["path", { d: `M ${v}`, fill: "none", stroke: "var(--accent)", "stroke-opacity": 0.75 }]);
+  const left = at(near), wide = Math.max(at(inverse(lens.far)) - left, 3);
+  parts.push(["rect", { x: left, y: top, width: wide, height: base - top, fill: "var(--accent)", opacity: 0.3, id: "sharp" }]);
+  line(at(most), base, at(0), base, "var(--field-edge)");
+  for (const [depth, isNamed] of marks(at, middle, most)) {
+    const x = at(1 / depth);
+    line(x, base, x, base + 5, "var(--field-edge)");
+    if (isNamed) text(x, base + 16, marked(depth));
+  }
+  text(at(0), base + 16, "∞", { "text-anchor": "end" });
+  const unit = tight ? Infinity : 10 ** Math.floor(Math.log10(most * 400)) / 2;
+  for (let each = unit; each < most * 1000; each += unit) text(at(each / 1000), base + 29, `${brief(each)} D`, { class: "dioptre" });
+  for (const disc of tight ? [] : [TOP / 2, TOP]) {
+    const y = base - (disc / 2) * tall;
+    line(at(most), y, at(0), y, "var(--text)", { "stroke-opacity": 0.12 });
+    text(at(most) + 4, y - 3, `${disc} px`, { "text-anchor": "start" });
+  }
+  bars(parts, at, base, tight ? [10] : [10, 22], width);
+  line(middle, top - 4, middle, base, "var(--accent)", { "stroke-width": 2 });
+  parts.push(["circle", { cx: middle, cy: base + 2, r: 9, fill: "var(--accent)", stroke: "var(--panel)", "stroke-width": 2 }]);
+  one("#scale").replaceChildren(...svg(parts));
+};
+
+const bars = (parts, at, base, levels, width) => { // each object from its nearest to its farthest depth; names that collide are left out
+  const ends = levels.map(() => -Infinity);
+  for (const [name, near, far, color] of objects) {
+    const left = at(near ? 1 / near : 0), right = at(far ? 1 / far : 0), middle = (left + right) / 2, wide = 6.4 * name.length;
+    parts.push(["rect", { x: Math.min(left, width - 14), y: base - 5, width: Math.max(6, right - left), height: 5, rx: 2, fill: color }]);
+    const x = Math.min(Math.max(middle, wide / 2 + 12), width - wide / 2 - 2), level = ends.findIndex((end) => x - wide / 2 - 14 > end);
+    if (level < 0) continue;
+    ends[level] = x + wide / 2;
+    parts.push(["line", { x1: middle, x2: middle, y1: levels[level] + 4, y2: base - 6, stroke: color, "stroke-dasharray": "1 3" }]);
+    parts.push(["circle", { cx: x - wide / 2 - 6, cy: levels[level] - 4, r: 3.5, fill: color }]);
+    parts.push(["text", { x, y: levels[level], "text-anchor": "middle", class: "name" }, name]);
+  }
+};
+
+const draw = () => {
+  const { lens } = studio;
+  if (!lens) return;
+  iris(lens);
+  ruler(lens);
+};
+
+studio.hearing.push(({ lens, overview }) => {
+  const ranges = overview?.ranges;
+  if (ranges) objects = ranges.sort((a, b) => (a[1] ?? Infinity) - (b[1] ?? Infinity)); // from near to far
+  if (lens) {
+    studio.lens = lens;
+    const far = lens.far === null ? "mm to infinity" : `to ${rounded(lens.far)} mm`;
+    reword(one("#in-focus"), `sharp from ${rounded(lens.near)} ${far}`);
+    reword(one("#deep"), lens.far === null ? "" : `${brief(Number((lens.far - lens.near).toPrecision(2)))} mm deep`);
+    reword(one("#dioptres"), lens.focus === null ? "0 D" : `${(1000 / lens.focus).toFixed(2)} D`);
+    const range = slider();
+    if (!range.matches(":active")) { // its end follows what is in focus, but for while that is dragged
+      range.min = placeOf(range, lens.nearest);
+      range.max = 0;
+      range.dataset.step = "2e-5"; // 0.02 dioptres
+      if (typeof studio.values[FOCUS] === "number") range.value = placeOf(range, studio.values[FOCUS]);
+    }
+  }
+  if (lens || ranges) draw();
+});
+
+// ---- the point in the picture, in a sentence -----------------------------------------------------------------------
+studio.describe = ({ object, depth, blur_radius: radii }) => {
+  const radius = Array.isArray(radii) ? radii[1] : radii, { focus } = studio.lens ?? {};
+  if (typeof radius !== "number") { reword(one("#who"), "Nothing"); reword(one("#what"), "no surface"); return; }
+  const disc = 2 * Math.abs(radius), kind = disc < 2 * SHARP ? "sharp" : disc < 4 ? "nearly sharp" : "soft";
+  const name = object ? object[0].toUpperCase() + object.slice(1) : "Surface", far = depth === null || focus === null || focus === undefined;
+  const gap = far ? "at infinity" : `${brief(Number(Math.abs(depth - focus).toPrecision(2)))} mm ${depth > focus ? "behind" : "before"} the focus`;
+  reword(one("#who"), `${name}, ${kind}`);
+  reword(one("#what"), `${far ? "" : `${marked(depth)}${depth < 1000 ? " mm" : ""}: `}${gap}, blur disc ${disc.toFixed(1)} px`);
+};
+
+studio.parts.push(() => {
+  new ResizeObserver(draw).observe(one("#ruler"));
+  one("#stops").addEventListener("click", ({ target }) => { if (target.dataset.stop) studio.set(STOP, Number(target.dataset.stop)); });
 });

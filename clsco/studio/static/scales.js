@@ -7,7 +7,7 @@ const stop = (place) => THIRDS[Math.round(place)] ?? 2 ** (Math.round(place) / 6
 
 /** @type {Record<string, { place: (value: number) => number, value: (place: number) => number }>} */
 const SCALES = {
-  inverse: { place: (value) => -1 / value, value: (place) => -1 / place }, // dioptres, far to the right
+  inverse: { place: (value) => -1 / value, value: (place) => -1 / Math.min(place, -1e-6) }, // dioptres, far to the right
   log: { place: Math.log10, value: (place) => 10 ** place },
   stops: { place: (value) => 6 * Math.log2(value), value: stop },
 };

@@ -1,14 +1,15 @@
 // The part of the studio that must be quick: pictures onto a canvas, and sliders' values to the server, over one socket.
 // What changes which elements there are is in parts.js. Whatever has an attribute data-path is the control of that key of the scene.
 
-import { colored } from "./colors.js";
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
 import { brief, full, placeOf, valueAt } from "./scales.js";
 import { all, on, one, problem, reword, studio } from "./shared.js";
 import { Viewport } from "./viewport.js";
+import { decoded, plane, summed } from "./views.js";
 
 import "./badge.js";
 import "./lens.js";
+import "./shell.js";
 import "./instruments.js";
 import "./parts.js";
 import "./persistence.js";
@@ -112,29 +113,6 @@ const show = (picture, payload) => {
 
 const asked = (picture) => picture.view === studio.view && picture.right === studio.right;
 
-const decoded = (picture, payload) => createImageBitmap(
-  new Blob([payload], { type: picture.encoding === ENCODING.JPEG ? "image/jpeg" : "image/png" }),
-  { colorSpaceConversion: "none", premultiplyAlpha: "none" });
-
-const plane = (picture, payload) => {
-  const values = picture.encoding === ENCODING.FLOAT16 ? halves(payload) : new Float32Array(payload.buffer, payload.byteOffset);
-  picture.values = values;
-  const { data, legend } = colored(picture.view, values, picture.width, picture.height);
-  picture.legend = legend;
-  return createImageBitmap(new ImageData(data, picture.width, picture.height));
-};
-
-const halves = ({ buffer, byteOffset }) => {
-  if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, byteOffset));
-  const codes = new Uint16Array(buffer, byteOffset), values = new Float32Array(codes.length);
-  codes.forEach((code, at) => {
-    const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
-    values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
-      : exponent ? 2 ** (exponent - 15) * (1 + rest / 1024) : 2 ** -14 * (rest / 1024));
-  });
-  return values;
-};
-
 const paint = (picture, image) => {
   const canvas = one("#canvas"), context = canvas.getContext("2d", { willReadFrequently: false });
   const [columns, rows] = picture.full;
@@ -157,6 +135,7 @@ const paint = (picture, image) => {
   studio.measure();
   placed();
   studio.drawn(picture);
+  studio.stale(true);
 };
 
 const legend = (about) => {
@@ -176,6 +155,8 @@ const placed = () => {
     each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
+  const wipe = one("#wipe"), width = scale * one("#canvas").width; // its middle goes from edge to edge of the picture
+  [wipe.style.left, wipe.style.width] = [`${left - 16}px`, `${width + 32}px`];
   reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
   awaitsOver ||= requestAnimationFrame(over);
 };
@@ -265,6 +246,7 @@ const changing = (control, isFine = false) => {
   const path = control.dataset.path, value = valueOf(control, isFine);
   control.removeAttribute("data-empty");
   if (control.dataset.full !== undefined) control.dataset.full = control.value;
+  if (control.type === "range") fill(control);
   if (dragged === null || dragged.path !== path) {
     drag += 1;
     dragged = { path, before: studio.values[path], at: 0 };
@@ -285,6 +267,12 @@ const give = (control, value) => {
 const slide = (control, value) => { // a slider of an empty box has no place
   control.toggleAttribute("data-empty", typeof value !== "number");
   control.value = placeOf(control, value ?? control.dataset.default ?? valueAt(control, Number(control.min)));
+  fill(control);
+};
+
+const fill = (control) => { // as far as its place in the range
+  const share = (Number(control.value) - control.min) / (control.max - control.min);
+  control.style.setProperty("--at", `${100 * share}%`);
 };
 
 const write = (control, value) => { // all digits where somebody types
@@ -307,7 +295,8 @@ const leaves = (_, control) => {
 };
 
 const stepped = (event, control) => { // arrows: with Shift ten times as far, with Alt a tenth
-  const sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+  const sign = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key], isBox = control.dataset?.kind === "number";
+  if (isBox && /Up|Down/.test(event.key)) control = control.parentElement.querySelector("input[type=range]") ?? control;
   if (sign === undefined || control.type !== "range" || !control.dataset.path) return;
   event.preventDefault();
   const step = Number(control.dataset.step || control.step) || 1;
@@ -325,7 +314,8 @@ const watch = () => { // tell the server which keys are on the page, so that it 
     if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
   }
   if (fresh.length) { mark(); idle(); }
-  const paths = [...new Set(all("[data-path]").map((control) => control.dataset.path))];
+  const paths = [...new Set(all("[data-path], [data-thumbnail]").map(({ dataset }) => dataset.path ?? dataset.thumbnail))];
+  summed();
   if (paths.join("\n") === watched) return;
   watched = paths.join("\n");
   send({ watch: paths });
@@ -371,7 +361,7 @@ const told = (said) => {
   if (said.values) valued(said.values);
   for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
   if (said.faults) { studio.faults = said.faults; mark(); }
-  if (said.values || "moves" in said) idle();
+  if (said.values || "moves" in said) { idle(); summed(); }
   if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   for (const hear of studio.hearing) hear(said);
@@ -384,6 +374,7 @@ const valued = (values) => {
     if (waiting.has(path) || studio.isEcho(path) || isTyped) continue; // older than what is in the box
     for (const control of sameKey(path)) give(control, value);
   }
+  summed();
 };
 
 let failing = 0;
@@ -393,9 +384,9 @@ const notify = (text, isGood) => { // above all, dialogs too
   place.textContent = text;
   place.toggleAttribute("data-good", isGood);
   place.hidden = false;
+  place.title = text;
   place.showPopover();
   clearTimeout(failing);
-  place.style.bottom = `${innerHeight - one("#stage").getBoundingClientRect().bottom + 8}px`; // over no control
   failing = setTimeout(dismiss, isGood ? 5000 : 12000);
 };
 const dismiss = () => { // false where there is no message
@@ -411,7 +402,7 @@ const CLICKS = { // what a click on an element with such an attribute does
   do: (action) => send({ do: action }),
   show: (selector) => one(selector).showModal(),
   close: (selector) => one(selector).close(),
-  toggle: (name) => one("#studio").classList.toggle(name),
+  toggle: (name) => studio.dock(name),
   view: (view) => look(view),
 };
 
@@ -437,8 +428,8 @@ const controls = () => {
 
 // ---- views ------------------------------------------------------------------------------------------------------
 const look = (view) => {
+  if (view !== studio.view) studio.rung = -1;
   studio.view = view;
-  studio.rung = -1;
   studio.badge();
   for (const button of all("[data-view]")) button.setAttribute("aria-selected", String(button.dataset.view === view));
   send({ view });
@@ -462,12 +453,17 @@ const COMMANDS = { // with Ctrl
   z: (event) => { dragged = null; press(event, event.shiftKey ? "#redo" : "#undo"); },
   s: (event) => press(event, "#save"),
   enter: (event) => press(event, "#generate"),
+  k: (event) => { event.preventDefault(); studio.find(); },
 };
 const KEYS = {
   ",": () => studio.seek(studio.index - 1),
   ".": () => studio.seek(studio.index + 1),
   e: (event) => { if (!one("#eye").hidden) press(event, "#eye"); },
   "?": () => one("#keys").showModal(),
+  "[": () => studio.dock("open"),
+  i: () => studio.dock("sided"),
+  l: () => one("#ruler input").focus(),
+  a: () => one("#opening input").focus(),
 };
 const TYPING = "input:not([type=range]):not([type=checkbox]):not([type=radio]), textarea, select";
 
@@ -478,7 +474,7 @@ const keys = (event, target) => {
   if (key === "escape" && target.matches?.(TYPING)) target.blur(); // from here on letters are shortcuts
   if (event.altKey || target.closest?.(TYPING)) return;
   if (/^[1-9]$/.test(key)) one(`[data-view="${VIEWS[Number(key) - 1]}"]`).click();
-  else if (key in KEYS) KEYS[key](event);
+  else if (key in KEYS && !one("dialog:modal")) KEYS[key](event);
   else studio.extra(event);
 };
 

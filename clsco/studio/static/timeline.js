@@ -47,6 +47,7 @@ const line = () => {
     tick.setAttribute("aria-pressed", String(Number(tick.dataset.time) === studio.moment));
   }
   if (frames < 2) play(false);
+  one("#line").hidden = frames < 2 && !studio.values.moves && one("#keyframes-part").hidden;
 };
 
 // ---- the exposure: its time samples as ticks, the open shutter as a band ----------------------------------------

@@ -4,14 +4,14 @@ import { all, made, on, one, studio } from "./shared.js";
 
 /** @type {[string, string][]} */
 const STEPS = [ // a part of the page, and words
-  ["#lens-strip", "The lens. Drag the focus, or type a distance; close the aperture from f/2 to f/8: more is sharp. The words on the right say what, in mm."],
+  ["#lens-strip", "The lens. Drag the ruler, or type a distance; close the iris: the V of the blur gets flat, and more is sharp."],
   ["#focus", "Focus by click (F): press it, then click in the picture on what is to be sharp."],
   ["#badge", "What the picture is of: a preview while something is dragged, then exact: the pixels that clsco render writes of these values."],
   ["#views", "The truth beside the picture: depth, blur radius, flow and more of the same frame, also by the keys 1 to 9."],
   ["#stage", "Click an object: it is outlined, its handles move it, the one above along z. The wheel zooms, a double click fits."],
   ["#side", "The inspector: why it is soft at the pixel under the pointer. Its blur radius, how its light spreads, and the lens."],
-  ["#panels-scroll", "The panels of the thesis, in its words, then all others. Input image takes a photo of your own; each value has its default behind ↺."],
-  ["#pin", "Pin this frame, or that of the thesis, and wipe or flip between both."],
+  ["#panels-scroll", "The panels of the thesis, in its words, then those in use; chips add more. Input image takes a photo of your own; ↺ sets a default."],
+  ["#comparing", "Pin this frame, or that of the thesis, and wipe or flip between both."],
   ["#inpaint", "Inpaint: paint over what is to go, and have it filled by several methods."],
   ["#generate", "Generate writes frames, a clip, a focal stack or a data set, by a command line that can be copied. Share gives an address of this scene."],
 ];
@@ -38,8 +38,8 @@ const show = (step) => {
   if (step < 0 || step >= STEPS.length) { dialog?.close(); return; }
   at = step;
   const [selector, text] = STEPS[step], part = one(selector);
-  one("#studio").classList.toggle("open", Boolean(part.closest("#panels")));
-  one("#studio").classList.toggle("sided", selector === "#side");
+  studio.dock("sided", selector === "#side");
+  if (innerWidth <= 900) studio.dock("open", Boolean(part.closest("#panels")));
   part.setAttribute("data-toured", "");
   one("#tour-words").textContent = text;
   one("#tour-at").textContent = `${step + 1} of ${STEPS.length}`;
@@ -56,7 +56,7 @@ const drawn = () => {
   const count = made("span", { id: "tour-at", className: "spread" }), back = button("Back", () => show(at - 1), "tour-back");
   const tour = made("dialog", { id: "tour" }, words, made("div", { className: "row" }, count, back, next, button("Close", () => show(-1))));
   tour.setAttribute("aria-label", "Tour");
-  tour.addEventListener("close", () => { one("#studio").classList.remove("open", "sided"); show(-1); });
+  tour.addEventListener("close", () => { show(-1); });
   one("#studio").append(tour);
   return tour;
 };

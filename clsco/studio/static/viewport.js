@@ -3,7 +3,7 @@
 import { on } from "./shared.js";
 
 const LEAST = 0.02, MOST = 128; // CSS px per pixel of the image
-const MARGIN = 0.98; // of the element, which an image that fits takes
+const MARGIN = 16; // px of the element that are free beside an image that fits, unless the element is small
 
 /** @typedef {{ x: number, y: number, apart: number }} Spread of two fingers */
 
@@ -33,8 +33,9 @@ export class Viewport {
 
   fit() {
     const { width, height } = this.box(), [columns, rows] = this.size();
-    this.scale = Math.min(width / columns, height / rows) * MARGIN;
-    if (this.scale > 1) this.scale = Math.floor(this.scale * 4) / 4;
+    const margin = width < 600 ? 0 : MARGIN;
+    this.scale = Math.min((width - margin) / columns, (height - margin) / rows);
+    if (this.scale > 2) this.scale = Math.floor(this.scale * 4) / 4;
     this.left = (width - this.scale * columns) / 2;
     this.top = (height - this.scale * rows) / 2;
     this.fitted = true;

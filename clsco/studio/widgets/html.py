@@ -181,6 +181,12 @@ def button(text: str, pressed: Callable[[], object], **attributes: Any) -> Eleme
     return say("button", text, type="button", click=lambda _: pressed(), **attributes)
 
 
+def icon(name: str) -> None:
+    """A symbol of static/icons.svg."""
+    with say("svg", class_="i", aria_hidden="true"):
+        say("use", href=f"static/icons.svg#{name}")
+
+
 def text_box(label: str, value: str, typed: Callable[[str], object], **attributes: Any) -> None:
     """A labeled box for text; `typed` is called with each change."""
     with say("label", class_="box"):
@@ -194,9 +200,12 @@ def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attr
 
 
 def check(label: str, type: str = "checkbox", **attributes: Any) -> None:  # noqa: A002 - as in HTML
-    """A labeled check box or radio button."""
+    """A labeled check box or radio button, with a symbol above the label if one is given."""
+    symbol = attributes.pop("symbol", "")
     with say("label", class_="check"):
         say("input", type=type, **attributes)
+        if symbol:
+            icon(symbol)
         say("span", label)
 
 
@@ -236,18 +245,25 @@ class Dialog:
         self._page.tell(close=self._place)
 
 
-def number(field: Field, value: Any) -> None:
-    """Draw a number field: its label, a slider if it has one, its box and unit, and a place for its message."""
+def number(field: Field, value: Any, letter: str = "") -> None:
+    """Draw a number field: its label, or the letter of a component, and the box with its unit over a slider, if it has
+    one, whose fill is the place in the range; and a place for its message.
+    """
     with say("div", class_="live"):
         box = f"box-{field.path}"
-        say("label", field.name, for_=box)
-        slider(field)
-        number_box(field, value, box)
-        say("span", field.unit, class_="unit")
+        if not letter:
+            say("label", f"{field.label} {field.symbol}".strip(), for_=box, title=field.help)
+        with say("div", class_="num"):
+            slider(field, tabindex="-1")
+            if letter:
+                say("b", letter, aria_hidden="true")
+            number_box(field, value, box)
+            if not letter:
+                say("span", field.unit, class_="unit")
         say("div", data_fault=field.path, role="alert", hidden=True)
 
 
-def slider(field: Field) -> None:
+def slider(field: Field, **attributes: Any) -> None:
     """Draw the slider of a number, if it has one; the page's script sets its position."""
     if field.slider is None:
         return
@@ -256,7 +272,7 @@ def slider(field: Field) -> None:
     say(
         "input", type="range", min=str(least), max=str(most), step="any", data_step=str(step), value=str(least),
         data_scale=field.scale or None, data_only=field.only or None, data_path=field.path,
-        aria_label=f"{field.name}, slider", title=field.help,
+        aria_label=f"{field.name}, slider", title=field.help, **attributes,
     )  # fmt: skip
 
 

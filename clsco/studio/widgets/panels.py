@@ -16,10 +16,24 @@ from clsco.studio.forms import Field, Panel, panels
 from clsco.studio.keyframes import tracks
 from clsco.studio.presets import choose_method, is_as_the_thesis
 from clsco.studio.session import Document
-from clsco.studio.tables import SHAPE_LABELS, at, words
-from clsco.studio.widgets.html import PagePart, button, check, check_box, choice, number, page, say
+from clsco.studio.tables import ON_THE_STRIP, SHAPE_LABELS, THESIS_TITLES, at, words
+from clsco.studio.widgets.html import (
+    PagePart,
+    button,
+    check,
+    check_box,
+    choice,
+    icon,
+    number,
+    page,
+    say,
+)  # fmt: skip
 
 _MOTIONS = {"velocity": "Translation", "angular_velocity": "Rotation"}
+_SHAPE_ICONS = {"plane": "square", "cylinder": "cylinder", "sphere": "globe", "cone": "cone", "ellipsoid": "egg"}
+_ICONS = dict(zip(THESIS_TITLES, ("image", "shapes", "sliders-horizontal", "move-3d", "camera"), strict=True))
+_ICONS |= {"Light": "lightbulb", "Sensor": "cpu", "Stereo": "columns-2", "Sequence": "film"}
+_ICONS |= {"PSF and method": "aperture", "Filling": "wand-sparkles", "Keyframes": "timer", "Texture": "grid-2x2"}
 _TYPE, _PROPERTIES, _MOTION = 1, 2, 3  # positions among the panels of the thesis
 
 
@@ -28,8 +42,9 @@ class Chosen:
     """State of the panels of a page."""
 
     index: int = 0  # of the selected object
-    scene: int = 0  # the `State.opened` to which `is_open` belongs
-    is_open: dict[str, bool] = field(default_factory=dict)  # by title, of panels that the user unfolded or folded
+    scene: int = 0  # the `State.opened` to which `added` belongs
+    open: str = THESIS_TITLES[2]  # title of the panel that is unfolded, "" for none
+    added: set[str] = field(default_factory=set)  # titles of panels that the user added to those that the scene uses
     before: dict[str, Any] = field(default_factory=dict)  # values of motions that were switched off, by path
 
 
@@ -38,8 +53,21 @@ def draw_panels(session: Document) -> None:
     now = Chosen(scene=session.state.opened)
 
     def draw() -> None:
-        for position, panel in enumerate(panels(session, now.index)):
+        listed = panels(session, now.index)
+        shown = [panel for panel in listed if panel.is_open or panel.title in now.added]
+        for position, panel in enumerate(shown):
             _draw(session, panel, position, now, method)
+        with say("div", class_="chips", role="group", aria_label="Add what the scene needs"):
+            for panel in listed:
+                if panel not in shown:
+                    with button("", partial(add, panel.title), class_="chip"):
+                        icon("plus")
+                        say("span", panel.title)
+
+    def add(title: str) -> None:
+        now.added.add(title)
+        now.open = title
+        area.refresh()
 
     objects = PagePart(lambda: object_list(session, now.index, choose), partial(_names, session, now))
     method = PagePart(partial(_method, session), partial(is_as_the_thesis, session))
@@ -53,7 +81,7 @@ def draw_panels(session: Document) -> None:
         now.index = min(now.index, len(session.table["object"]) - 1)
         if now.scene != session.state.opened:  # another scene, whose keys decide which panels are open
             now.scene = session.state.opened
-            now.is_open.clear()
+            now.added.clear()
         for part in (objects, method, area):
             part.changed()
 
@@ -81,20 +109,37 @@ def is_chosen(session: Document, path: str) -> bool:
 
 
 def _draw(session: Document, panel: Panel, position: int, chosen: Chosen, method: Callable[[], Any]) -> None:
-    is_open = chosen.is_open.get(panel.title, panel.is_open)
-    with say("details", open=is_open, class_="panel", toggle=partial(chosen.is_open.__setitem__, panel.title)):
-        say("summary", panel.title)
-        if panel.title == "PSF and method":
-            method()
-        if position == _PROPERTIES:
-            say("p", "In the thesis centers are on the axis, and |R| is at most about 6 px.", class_="quiet")
-        for each in panel.fields:
-            if position == _TYPE:
-                _shapes(session, each)
-            elif position == _MOTION and each.key in _MOTIONS:
-                _motion(session, each, chosen)
-            else:
-                draw_field(session, each)
+    def toggled(is_open: object) -> None:
+        if is_open:
+            chosen.open = panel.title
+        elif chosen.open == panel.title:
+            chosen.open = ""
+
+    with say("details", name="panel", open=panel.title == chosen.open, class_="panel", toggle=toggled):
+        with say("summary"):
+            icon(_ICONS.get(panel.title, "box"))
+            say("h2", panel.title)
+            _draw_brief(panel, position, chosen.index)
+            icon("chevron-right")
+        with say("div", class_="body"):
+            if panel.title == "PSF and method":
+                method()
+            for each in panel.fields:
+                if position == _TYPE:
+                    _shapes(session, each)
+                elif position == _MOTION and each.key in _MOTIONS:
+                    _motion(session, each, chosen)
+                elif each.path in ON_THE_STRIP:
+                    say("button", f"{each.label}: in the lens below", type="button", data_to=each.path)
+                else:
+                    draw_field(session, each)
+
+
+def _draw_brief(panel: Panel, position: int, index: int) -> None:
+    """Draw the place for a value of a panel, which the page's script fills."""
+    paths = {0: f"object.{index}.texture", _TYPE: f"object.{index}.shape", _MOTION: "moves"}
+    path = "camera.focal_length" if panel.title == THESIS_TITLES[-1] else paths.get(position)
+    say("output", data_brief=path)
 
 
 def draw_field(session: Document, shown: Field) -> None:
@@ -102,7 +147,7 @@ def draw_field(session: Document, shown: Field) -> None:
     value = session.shown(shown.path)
     if shown.kind == "vector":
         with say("fieldset", class_="vector"):
-            say("legend", shown.name, title=shown.help)
+            say("legend", f"{shown.label} {shown.symbol}".strip(), title=f"{shown.name}: {shown.help}")
             _components(session, shown)
             _back(shown)
             if shown.key == "semi_axes":
@@ -130,11 +175,10 @@ def draw_field(session: Document, shown: Field) -> None:
 
 
 def _components(session: Document, shown: Field) -> None:
-    for index, letter in enumerate(shown.components):
-        part = shown.component(index)
-        with say("div", class_="component"):
-            say("span", letter, aria_hidden="true", class_="letter")
-            number(part, session.shown(part.path))
+    with say("div", class_="three"):
+        for index, letter in enumerate(shown.components):
+            part = shown.component(index)
+            number(part, session.shown(part.path), letter)
 
 
 def _select(shown: Field, value: Any, box: str) -> None:
@@ -192,9 +236,12 @@ def _fault(shown: Field) -> None:
 def _shapes(session: Document, shown: Field) -> None:
     """Draw radio buttons of the shapes: the five of the thesis, and the others below."""
     value = session.shown(shown.path)
-    with say("div", role="radiogroup", aria_label=shown.label, class_="shapes"):
+    with say("div", role="radiogroup", aria_label=shown.label, class_="types"):
         for option, label in shown.choices:
-            check(label, "radio", name=shown.path, value=option, checked=option == value, data_path=shown.path)
+            check(
+                label, "radio", name=shown.path, value=option, checked=option == value, data_path=shown.path,
+                symbol=_SHAPE_ICONS.get(option, ""),
+            )  # fmt: skip
     _fault(shown)
 
 
@@ -240,17 +287,24 @@ def object_list(session: Document, index: int, choose: Callable[[int], None]) ->
         with say("ul"):
             for number, item in enumerate(objects):
                 label = str(item.get("name") or SHAPE_LABELS.get(item["shape"], words(item["shape"])))
-                with say("li"):
+                with (
+                    say("li"),
                     button(
-                        f"{number + 1} {label}", partial(choose, number),
-                        aria_pressed="true" if number == index else "false", aria_label=f"Object {number + 1}, {label}",
-                    )  # fmt: skip
-        with say("div", role="group", aria_label="Change the list of objects", class_="row"):
+                        "", partial(choose, number), aria_pressed="true" if number == index else "false", title=label,
+                        aria_label=f"Object {number + 1}, {label}", class_="swatch",
+                    ),
+                ):  # fmt: skip
+                    say("span", f"{number + 1} {label}")
+                    say("img", data_thumbnail=f"object.{number}.texture", alt="", hidden=True)
+        label = "Add or arrange objects"
+        with say("button", type="button", class_="icon", aria_label=label, title=label, popovertarget="object-menu"):
+            icon("plus")
+        with say("div", id="object-menu", popover=True, role="group", aria_label="Change the list of objects"):
             _adding(session, choose)
             button("Copy", lambda: choose(session.copy_object(index)), aria_label="Copy the object")
             button("Delete", deleted, aria_label="Delete the object", disabled=last == 0)
-            button("↑", lambda: moved(index - 1), aria_label="Earlier", disabled=index == 0)
-            button("↓", lambda: moved(index + 1), aria_label="Later", disabled=index == last)
+            button("Earlier", lambda: moved(index - 1), disabled=index == 0)
+            button("Later", lambda: moved(index + 1), disabled=index == last)
 
 
 def _adding(session: Document, choose: Callable[[int], None]) -> None:

@@ -1,0 +1,59 @@
+// Pictures as they come, decoded; the views beside the picture, drawn small; and the values of panels that are closed.
+
+import { colored } from "./colors.js";
+import { ENCODING } from "./protocol.js";
+import { brief } from "./scales.js";
+import { all, one, reword, studio } from "./shared.js";
+
+export const decoded = (picture, payload) => createImageBitmap(
+  new Blob([payload], { type: picture.encoding === ENCODING.JPEG ? "image/jpeg" : "image/png" }),
+  { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+
+export const plane = (picture, payload) => {
+  const values = picture.encoding === ENCODING.FLOAT16 ? halves(payload) : new Float32Array(payload.buffer, payload.byteOffset);
+  picture.values = values;
+  const { data, legend } = colored(picture.view, values, picture.width, picture.height);
+  picture.legend = legend;
+  return createImageBitmap(new ImageData(data, picture.width, picture.height));
+};
+
+const halves = ({ buffer, byteOffset }) => {
+  if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, byteOffset));
+  const codes = new Uint16Array(buffer, byteOffset), values = new Float32Array(codes.length);
+  codes.forEach((code, at) => {
+    const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
+    values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
+      : exponent ? 2 ** (exponent - 15) * (1 + rest / 1024) : 2 ** -14 * (rest / 1024));
+  });
+  return values;
+};
+
+studio.stale = (is) => { for (const tab of all("#views [data-view]")) tab.toggleAttribute("data-stale", is); };
+studio.hearing.push(({ overview }) => { // small views, all of one frame
+  if (!overview) return;
+  studio.stale(false);
+  for (const [view, [width, height, text]] of Object.entries(overview.views)) {
+    const payload = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const encoding = view === "color" || view === "sharp" ? ENCODING.JPEG : ENCODING.FLOAT32, picture = { view, width, height, encoding };
+    (encoding === ENCODING.JPEG ? decoded(picture, payload) : plane(picture, payload)).then((image) => thumbnail(view, image));
+  }
+});
+const thumbnail = (view, canvas) => { // small, beside the picture
+  const small = one(`[data-view="${view}"] canvas`), scale = Math.max(small.width / canvas.width, small.height / canvas.height);
+  const [width, height] = [scale * canvas.width, scale * canvas.height], context = small.getContext("2d");
+  context.imageSmoothingQuality = "high";
+  context.drawImage(canvas, (small.width - width) / 2, (small.height - height) / 2, width, height);
+};
+
+
+export const summed = () => { // the values of closed panels, and views that have no meaning for the scene
+  const { values } = studio, shapes = one("[data-path$='.shape']:checked")?.closest("label").textContent;
+  for (const place of all("[data-brief]")) {
+    const path = place.dataset.brief, value = values[path];
+    if (path === "moves") reword(place, value ? "moves" : "still");
+    else if (path.endsWith(".shape")) reword(place, shapes ?? "");
+    else reword(place, typeof value === "number" ? `${brief(value)} mm` : String(value ?? "").split("/").at(-1));
+  }
+  values.warps = values["motion.warp"] === "forward";
+  for (const tab of all("[data-rare]")) tab.toggleAttribute("data-rare-now", !values[tab.dataset.rare]);
+};
