@@ -43,7 +43,7 @@ from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, cam
 from clsco.scene.model import Psf
 
 MOST_IMAGES = 8  # that lie over each other
-SAME = 0.25  # px; as in kernels/layered/layered.cl
+SAME = 0.25  # px; as in kernels/layered/sheets.cl
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
 

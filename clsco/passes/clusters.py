@@ -23,6 +23,7 @@ from clsco.plan.buffers import cluster_buffers, label_buffers
 from clsco.plan.methods import BlurSpec
 from clsco.records import Real, Struct
 
+FILES = ("layered/layered.cl", "layered/sheets.cl")
 LINES = (8,)  # local size of kernels with a work-item per row or column
 TILES = (8, 1)  # local size of kernels with a work-item per tile
 ZERO, ONE = np.zeros(1, np.uint32), np.ones(1, np.uint32)
@@ -72,10 +73,10 @@ class Layers:
 
 
 def layered_program(session: Session, channels: int, real: Real, alpha: bool = False) -> Target:
-    """Target with the kernels of layered.cl, for images of `channels` channels, the last of which may be alpha. The
+    """Target with the kernels of layered occlusion, for images of `channels` channels, the last of which may be alpha. The
     kernels have a program of their own, because they depend on few features.
     """
-    return Target.build(session, ["layered/layered.cl"], {"CHANNELS": channels - alpha, "ALPHA": int(alpha)}, real)
+    return Target.build(session, FILES, {"CHANNELS": channels - alpha, "ALPHA": int(alpha)}, real)
 
 
 class Clusters:

@@ -38,7 +38,7 @@ BLUR |= {"CHANNELS": (1, 3), "SUBPIXELS": (0, 4, 2, 3), "CURVED": (0, 3, 1, 2, 4
 BLUR |= {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BORDERS": ON_OR_OFF, **GENERAL}
 BLUR |= {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
 GATHER, SCATTER, TILES = (FILES_OF[method] for method in ("gather", "scatter", "tiles"))
-LAYERED = ("layered/layered.cl",)
+LAYERED = ("layered/layered.cl", "layered/sheets.cl")
 # Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
@@ -62,7 +62,7 @@ PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
 PROGRAMS[HOLES] = {"CHANNELS": (1, 3), "CODES": ON_OR_OFF, "ALONE": ON_OR_OFF}
 PROGRAMS[HOLES] |= {"FILL_MEAN_MEDIAN": (1,), "IMAGE": (1,)}
 PROGRAMS[TILES] = PROGRAMS[SCATTER] | dict.fromkeys(("OCCLUDED", "CUT_CHORDS", "BORDERS"), (0,))
-PROGRAMS[LAYERED] = {"CHANNELS": (2, 4), "RIMS": (0, 2), "SCATTER": ON_OR_OFF}
+PROGRAMS[LAYERED] = {"CHANNELS": (1, 3), "ALPHA": ON_OR_OFF}
 IN_DOUBLE = (TRACE_FILES, GATHER, SCATTER, TILES, FORWARD, LAYERED, ("inpainting/biharmonic.cl",))  # others: in floats
 GIVEN_BY_THE_BUILD = {
     *("REAL_IS_DOUBLE", "HAS_INT64_ATOMICS", "HAS_FP64", "VECTOR_WIDTH", "defined"),

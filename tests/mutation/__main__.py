@@ -84,6 +84,8 @@ TESTS = {
     "inpainting/mean_median.cl": "kernels/test_mean_median inpainting/test_inpaint",
     "inpainting/score.cl": "kernels/test_mean_median kernels/test_fill",
     "layered/layered.cl": "kernels/test_layered engine/test_defocus",
+    "layered/sheets.cl": "kernels/test_layered engine/test_defocus",
+    "layered/tiles.clh": "kernels/test_layered engine/test_defocus",
     "sensor/noise.clh": "kernels/test_sensor",
     "sensor/sensor.cl": "kernels/test_sensor pipeline/test_sensor",
     "trace/light.clh": "pipeline/test_light",

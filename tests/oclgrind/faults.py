@@ -102,9 +102,9 @@ FAULTS = (
     ),
     Fault(
         "a plain load beside an atomic",
-        "layered/layered.cl",
-        "if (RELAXED_LOAD(latest + DISCONTINUITY_CLASSES * bins) < sum)",
-        "if (latest[DISCONTINUITY_CLASSES * bins] < sum)",
+        "layered/tiles.clh",
+        "if (RELAXED_LOAD(entry) < value)",
+        "if (*entry < value)",
         "Read-write data race",
     ),
 )
