@@ -56,5 +56,6 @@ FEATURES = {
     "DOMAIN_SURFACE": "where a surface is",
     "IMAGE": "of an image with a mask",
     "CODES": "whose values are codes of 8 bits",
+    "ALPHA": "the last channel of images is alpha",
     "ALONE": "one work-item at a time settles, on processors",
 }

@@ -73,8 +73,9 @@ class Layers:
 
 
 def layered_program(session: Session, channels: int, real: Real, alpha: bool = False) -> Target:
-    """Target with the kernels of layered occlusion, for images of `channels` channels, the last of which may be alpha. The
-    kernels have a program of their own, because they depend on few features.
+    """Target with the kernels of layered occlusion, for images of `channels` channels, the last of which may be alpha.
+
+    The kernels have a program of their own, because they depend on few features.
     """
     return Target.build(session, FILES, {"CHANNELS": channels - alpha, "ALPHA": int(alpha)}, real)
 

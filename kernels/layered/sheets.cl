@@ -1,4 +1,4 @@
-// Sheets of layered occlusion: a depth layer with radiance, radius and coverage in all pixels, extrapolated by push-pull.
+// Sheets of layered occlusion: depth layers with radiance, radius and coverage in all pixels, by push-pull.
 // Twin: clsco/reference/layered/layered.py. Host: clsco/passes/clusters.py. For the planes see layered.cl.
 
 #include "common/geometry.clh"

@@ -221,7 +221,8 @@ def take_sheet(
     own, shared = layer == which, near == which
     share = np.where(shared, near_share, np.where(own, alpha, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
-    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), np.where(own, alpha, 0.0).astype(np.float64), levels)
+    weight = np.where(own, alpha, 0.0).astype(np.float64)
+    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), weight, levels)
     visible, hidden = share > 0, (layer > 0) & (layer < which)
     outline = _spread(share[..., None], ~hidden * 1.0, levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
