@@ -141,6 +141,7 @@ def test_every_feature_is_known() -> None:
     assert asked <= FEATURES.keys()
     read = set().union(*(asked_for(files) for files in PROGRAMS))
     numbers = {
+        "ALPHA",
         "LINEAR",
         "MOVED",
         "SAMPLED",
