@@ -118,7 +118,8 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     layers : sequence of (array (rows, columns, 2 to 16), array (rows, columns)), optional
         Instead of `image` and `blur_radius`, 1 to MOST_IMAGES images that lie over each other, such as a foreground and
         what is behind it, each with its radii. Linear floats, the last channel is alpha from 0 to 1, by which the
-        others are multiplied. Where alpha is 0, the radius does not matter. Any order: radii say what is in front.
+        others are multiplied. Where alpha is 0, the radius does not matter. Any order: radii say what is in front; of
+        equal ones, the first layer is.
     psf : Psf, mapping or str, optional
         Keys of the scene file's [psf] with their values, or its `model` alone: "pillbox", "gaussian" or "wave".
         Occlusion is "layered" or "none"; by default layered.
@@ -199,6 +200,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     each = []
     for name, picture, radii in zip(names[::2], arrays[::2], arrays[1::2], strict=True):
         linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
+        radii = _visible_radii(linear, radii) if layers else radii
         _check_layer(name.removesuffix("image"), linear, radii, arrays[0].shape, alpha=bool(layers))
         if factor is not None:
             linear = linear * _shares(linear, factor, alpha=bool(layers) or (codes and has_alpha(linear)))
@@ -248,9 +250,17 @@ class _Layer:
         return steepest_step(self.coc if self.coc.dtype.kind == "f" else self.coc.astype(np.float64))
 
     def continues_in(self, other: _Layer) -> bool:
-        """True if both have the same radii, within SAME px, wherever one of them is."""
-        apart = np.abs(self.coc.astype(np.float64) - other.coc)[self.covered | other.covered]
-        return bool(apart.max(initial=0.0) <= SAME)
+        """True if both are parts of one picture: their radii differ by at most SAME px in pixels that both cover, and
+        in most pairs of neighbors.
+        """
+        here, there = (np.where(each.covered, each.coc.astype(np.float64), np.nan) for each in (self, other))
+        steps = []
+        for one, two in ((here, there), (there, here)):
+            steps += [np.abs(one[:-1] - two[1:]).ravel(), np.abs(one[:, :-1] - two[:, 1:]).ravel()]
+        between = np.concatenate(steps)
+        between = between[~np.isnan(between)]
+        overlapping = np.abs(here - there)[self.covered & other.covered]
+        return bool(overlapping.max(initial=0.0) <= SAME and between.size and np.median(between) <= SAME)
 
     def mean_radius(self) -> float:
         """Mean R of what is covered, px; 0 for one image."""
@@ -304,9 +314,17 @@ def _given(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> t
         raise ArgumentError("layers: must be given in place of image and blur_radius; got both or none of them")
     if len(layers) > MOST_IMAGES:
         raise ArgumentError(f"layers: must be at most {MOST_IMAGES}; got {len(layers)}")
+    if any(not isinstance(pair, tuple | list) or len(pair) != 2 for pair in layers):
+        raise ArgumentError("layers: must be pairs of an image and its blur radii; got something else")
     begins = [f"layers[{number}]: " for number in range(len(layers))] or [""]
     names = [f"{begin}{array}" for begin in begins for array in ("image", "blur_radius")]
     return names, [array for pair in layers or [(image, blur_radius)] for array in pair]
+
+
+def _visible_radii(image: NDArray[Any], radii: NDArray[Any]) -> NDArray[Any]:
+    """Radii with 0 where alpha is 0."""
+    fits = image.ndim == 3 and radii.shape == image.shape[:2]
+    return np.where(image[..., -1] > 0, radii, radii.dtype.type(0)) if fits else radii
 
 
 def _shares(linear: NDArray[Any], factor: float, alpha: bool) -> NDArray[np.float32]:

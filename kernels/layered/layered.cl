@@ -147,14 +147,14 @@ __kernel void find_edges(const grid_t grid, const real2 spread, __global const f
     edge[tile] = edges;
 }
 
-// Weighted sums of colors, and of their squares.
+// Weighted sums of colors, and of their squares; least and largest color.
 typedef struct {
-    float weight, color[CHANNELS], square[CHANNELS];
+    float weight, color[CHANNELS], square[CHANNELS], least[CHANNELS], most[CHANNELS];
 } colors_t;
 
 // Radiance of the two surfaces in a pixel at a discontinuity, and the share of the nearer one. The mean colors of both
-// explain the pixel's color; their variances say how much that counts against the mask. Both get what is left.
-// In: value, layer, sides. Out: mixed.
+// explain the pixel's color; their variances say how much that counts against the mask. Both get what is left, but not
+// beyond the colors of their pixels. In: value, layer, sides. Out: mixed.
 __kernel void unmix(const grid_t grid, __global const float *value, __global const uchar *layer,
                     __global const uchar *sides, __global float *mixed) {
     const int x = get_global_id(0), y = get_global_id(1), plane = grid.width * grid.height;
@@ -165,6 +165,9 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
         return;
     float mask[2] = {0, 0};
     colors_t sums[4] = {{0}, {0}, {0}, {0}};  // of the near and the far side, away from edges and at edges
+    for (int c = 0; c < CHANNELS; ++c)
+        for (int k = 0; k < 4; ++k)
+            sums[k].least[c] = sums[k].most[c] = value[c * plane + at];
     for (int dy = MAX(-MIXED_AROUND, -y); dy <= MIN(MIXED_AROUND, grid.height - 1 - y); ++dy)
         for (int dx = MAX(-MIXED_AROUND, -x); dx <= MIN(MIXED_AROUND, grid.width - 1 - x); ++dx) {
             const int there = at + dy * grid.width + dx, own = layer[there];
@@ -180,20 +183,17 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
                 const float color = value[c * plane + there];
                 sum->color[c] += weight * color;
                 sum->square[c] += weight * color * color;
+                sum->least[c] = MIN(sum->least[c], color);
+                sum->most[c] = MAX(sum->most[c], color);
             }
         }
-    const bool alone = sums[0].weight + sums[2].weight == 0 || sums[1].weight + sums[3].weight == 0;
-    for (int c = 0; c < 2 * CHANNELS && alone; ++c)  // the other surface is not opaque: its color is not known
-        mixed[c * plane + at] = value[c % CHANNELS * plane + at];
-    if (alone) {
-        mixed[2 * CHANNELS * plane + at] = layer[at] == near;
-        return;
-    }
     const float by_mask = mask[0] / (mask[0] + mask[1]);
     float noise = 0, squares = 0, by_color = 0, apart = 0, mean[2][CHANNELS];
+    bool alone = false;  // True if one surface is not opaque, so that its color is not known
     for (int c = 0; c < CHANNELS; ++c) {
         for (int k = 0; k < 2; ++k) {
             const colors_t *sum = sums + k + (sums[k].weight > 0 ? 0 : 2);  // thin things are all edge
+            alone |= sum->weight == 0;
             mean[k][c] = sum->color[c] / sum->weight;
             noise += MAX(sum->square[c] / sum->weight - mean[k][c] * mean[k][c], 0.0f);
         }
@@ -203,12 +203,17 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
         apart += difference * difference;
     }
     const float doubt = NOISE * (noise + LEAST_DEVIATION * LEAST_DEVIATION * (0.1f + squares));
-    const float share = MIN(MAX((by_color + doubt * by_mask) / (apart + doubt), 0.0f), 1.0f), rest = 1 - share;
+    alone |= !(apart + doubt < FLT_MAX);
+    const float fitting = MIN(MAX((by_color + doubt * by_mask) / (apart + doubt), 0.0f), 1.0f);
+    const float share = alone ? layer[at] == near : fitting, rest = 1 - share;
     for (int c = 0; c < CHANNELS; ++c) {
-        const float left = (value[c * plane + at] - share * mean[0][c] - rest * mean[1][c]) /
-                           (share * share + rest * rest);
-        mixed[c * plane + at] = mean[0][c] + share * left;
-        mixed[(CHANNELS + c) * plane + at] = mean[1][c] + rest * left;
+        const float color = value[c * plane + at];
+        const float left = (color - share * mean[0][c] - rest * mean[1][c]) / (share * share + rest * rest);
+        for (int k = 0; k < 2; ++k) {
+            const colors_t *sum = sums + k + (sums[k].weight > 0 ? 0 : 2);
+            const float part = mean[k][c] + (k ? rest : share) * left;
+            mixed[(k * CHANNELS + c) * plane + at] = alone ? color : MIN(MAX(part, sum->least[c]), sum->most[c]);
+        }
     }
     mixed[2 * CHANNELS * plane + at] = share;
 }

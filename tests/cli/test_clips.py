@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -50,15 +51,19 @@ def run(folder: Path, layers: list[Path], *more: object) -> list[np.ndarray]:
 
 def test_white_stays_white_and_one_program_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     layers = write_frames(tmp_path, np.ones(3), np.ones(3))
-    builds, builds_of_frames = [], []
+    builds, builds_of_frames = list[int](), list[int]()
     build, defocus = cl.Program.build, clsco.defocus
-    monkeypatch.setattr(cl.Program, "build", lambda self, *a, **k: (builds.append(1), build(self, *a, **k))[1])
 
-    def counted(*args: object, **options: object) -> object:
+    def counted_build(*args: Any, **options: Any) -> Any:
+        builds.append(1)
+        return build(*args, **options)
+
+    def counted(*args: Any, **options: Any) -> Any:
         result = defocus(*args, **options)
         builds_of_frames.append(len(builds))
         return result
 
+    monkeypatch.setattr(cl.Program, "build", counted_build)
     monkeypatch.setattr(clsco, "defocus", counted)
     for image in run(tmp_path, layers):
         np.testing.assert_allclose(image, 1.0, atol=1e-5)

@@ -318,6 +318,19 @@ def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join() ->
     assert np.array_equal(parts, defocus(layers=[whole]))
 
 
+def test_what_is_not_seen_has_no_effect_and_highlights_leave_no_dark_pixels() -> None:
+    layers = images(24, 32)
+    found = defocus(layers=layers)
+    clear = np.zeros_like(layers[0][0]), np.full((24, 32), np.nan)
+    assert np.array_equal(defocus(layers=[*layers, clear]), found)
+    radii = [np.where(image[..., -1] > 0, coc, 1e9) for image, coc in layers]
+    assert np.array_equal(defocus(layers=[(image, coc) for (image, _), coc in zip(layers, radii, strict=True)]), found)
+    bright, coc = np.full((24, 24), 0.5), np.where(np.arange(24) < 12, -3.0, 5.0)[None].repeat(24, 0)
+    bright[10, 10] = 1e6
+    assert defocus(bright, coc).min() >= 0.5 * (1 - 1e-6)
+    np.testing.assert_allclose(defocus(np.full((24, 24), 1e37), coc), 1e37, rtol=1e-6)
+
+
 def test_wrong_layers_are_named() -> None:
     (image, coc), *_ = images(8, 9)
     for layers, text in (
@@ -326,6 +339,7 @@ def test_wrong_layers_are_named() -> None:
         ([(image, coc), (image, coc[:4])], r"layers\[1\]: blur_radius: must have the rows and columns of the image"),
         ([(2 * image, coc)], r"layers\[0\]: image: alpha must be from 0 to 1; got 2"),
         ([(image[..., :1], coc)], r"layers\[0\]: image: must have alpha; got \(8, 9, 1\)"),
+        ((image, coc), "layers: must be pairs of an image and its blur radii; got something else"),
         ([], "layers: must be given in place of image and blur_radius; got both or none of them"),
     ):
         with pytest.raises(clsco.ArgumentError, match=text):

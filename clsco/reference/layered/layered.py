@@ -123,16 +123,17 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
     Only pixels with `near` > 0 are filled. The mean colors of both surfaces, from pixels up to MIXED_AROUND px away
     that are not at edges, give the share that explains the pixel's color best; the variances of the surfaces say how
     much that counts against the share of the near layer under a Gaussian of MASK_WIDTH px. What is left of the color
-    is given to both surfaces, so that the pixel's color is kept.
+    is given to both surfaces, so that the pixel's color is kept, but not beyond the colors of their pixels.
     """
     place = np.nonzero(near > 0)
     colors, count = radiance[place], len(place[0])
     padded, clean = (np.pad(plane, MIXED_AROUND) for plane in (layer, np.where(near > 0, 0, layer)))
     light = np.pad(radiance, ((MIXED_AROUND, MIXED_AROUND), (MIXED_AROUND, MIXED_AROUND), (0, 0)))
     span = range(-MIXED_AROUND, MIXED_AROUND + 1)
-    means, variances, masks, alone = [], [], [], np.zeros(count, np.bool_)
+    means, variances, masks, ranges, alone = [], [], [], [], np.zeros(count, np.bool_)
     for side in (near[place], far[place]):
         sums = np.zeros((2, count, 2 * radiance.shape[2] + 1))
+        ends = np.stack([[colors, colors]] * 2)  # least and largest color, away from edges and of all
         mask = np.zeros(count)
         for dy in span:
             for dx in span:
@@ -141,12 +142,16 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
                 here = np.concatenate([light[at], light[at] ** 2, np.ones((count, 1))], axis=-1) * weight
                 sums[0] += np.where((clean[at] == side)[:, None], here, 0.0)
                 sums[1] += np.where((padded[at] == side)[:, None], here, 0.0)
+                for way, labels in enumerate((clean, padded)):
+                    there = np.where((labels[at] == side)[:, None], light[at], colors)
+                    ends[way] = np.minimum(ends[way, 0], there), np.maximum(ends[way, 1], there)
                 if max(abs(dy), abs(dx)) <= 2:
                     mask += np.exp(-0.5 * (dy * dy + dx * dx) / MASK_WIDTH**2) * (padded[at] == side)
         chosen = np.where(sums[0, :, -1:] > 0, sums[0], sums[1])  # thin things are all edge
         alone |= chosen[:, -1] == 0
         mean, square = np.split(chosen[:, :-1] / np.maximum(chosen[:, -1:], 1.0), 2, axis=1)
         means.append(mean)
+        ranges.append(np.where(sums[0, :, -1:] > 0, ends[0], ends[1]))
         variances.append(np.maximum(square - mean**2, 0.0).sum(axis=1))
         masks.append(mask)
     difference = means[0] - means[1]
@@ -158,7 +163,9 @@ def unmix(radiance: Array, layer: Labels, near: Labels, far: Labels) -> tuple[Ar
     means = [np.where(alone[:, None], colors, mean) for mean in means]  # the color of the other surface is not known
     left = (colors - share * means[0] - (1.0 - share) * means[1]) / (share**2 + (1.0 - share) ** 2)
     out = np.zeros(radiance.shape), np.zeros(radiance.shape), np.zeros(layer.shape)
-    for plane, values in zip(out, (means[0] + share * left, means[1] + (1 - share) * left, share[:, 0]), strict=True):
+    parts = [mean + part * left for mean, part in zip(means, (share, 1.0 - share), strict=True)]
+    lights = [np.clip(part, *ends) for part, ends in zip(parts, ranges, strict=True)]
+    for plane, values in zip(out, (*lights, share[:, 0]), strict=True):
         plane[place] = values
     return out
 
@@ -221,10 +228,10 @@ def take_sheet(
     own, shared = layer == which, near == which
     share = np.where(shared, near_share, np.where(own, alpha, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
-    weight = np.where(own, alpha, 0.0).astype(np.float64)
+    weight = np.asarray(own * alpha, dtype=np.float64)
     spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), weight, levels)
     visible, hidden = share > 0, (layer > 0) & (layer < which)
-    outline = _spread(share[..., None], ~hidden * 1.0, levels)
+    outline = _spread(share[..., None], (~hidden).astype(np.float64), levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
     light = np.where(visible[..., None], light, spread[..., :-1])
     radius = np.where(own, coc, spread[..., -1])
