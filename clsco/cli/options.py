@@ -113,7 +113,7 @@ def quantity(rule: str, **units: str) -> Callable[[str], float]:
     def parse(text: str) -> float:
         number, unit = re.sub(r"[a-z\s]+$", "", text), text.strip().lstrip("+-.0123456789e").strip()
         try:
-            return float(text) if text.strip() in ("inf", number) else float(Decimal(number) * Decimal(units[unit]))
+            return float(Decimal(number) * Decimal(units[unit])) if unit in units else float(text)
         except (ArithmeticError, ValueError, KeyError):
             raise click.BadParameter(f"{rule}; got {text}") from None
 

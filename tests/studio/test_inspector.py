@@ -74,7 +74,7 @@ def test_a_source_is_where_its_point_was_in_the_reference_pose() -> None:
 
 
 def test_an_overview_has_depths_of_the_objects_and_small_views() -> None:
-    scene = scene_from(TABLES, BALL | {"name": "ball"}, WALL)
+    scene = scene_from(TABLES, BALL | {"name": "ball", "radius": 2.0}, WALL)
     frame: Any = clsco.render_frame(scene)
     found = overview(frame, scene)
     assert [entry[0] for entry in found["ranges"]] == ["Ball", "Plane"]
