@@ -45,15 +45,18 @@ def test_no_file_names_a_place_on_one_machine() -> None:
     assert found == []
 
 
+WITHOUT_SUFFIX = ("py", "LICENSE-inter", "LICENSE-lucide")  # py.typed, and licenses of the font and the icons
+
+
 def shipped() -> set[str]:
     """Names that the wheel has to hold: the package, the kernels, and the example scenes."""
     suffixes = {
-        "clsco": (".py", ".pyi", ".js", ".css", ".json", ".webp"),
+        "clsco": (".py", ".pyi", ".js", ".css", ".html", ".json", ".svg", ".webp", ".woff2"),
         "kernels": (".py", ".cl", ".clh"),
-        "examples": (".py", ".toml", ".png", ".jpg"),
+        "examples": (".py", ".toml", ".png", ".jpg", ".npy"),
     }
     names = [path.relative_to(ROOT) for path in repository_files()]
-    wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ()) or name.name == "py.typed"]
+    wanted = [name for name in names if name.suffix in suffixes.get(name.parts[0], ()) or name.stem in WITHOUT_SUFFIX]
     return {name.as_posix() if name.parts[0] == "clsco" else f"clsco/{name.as_posix()}" for name in wanted}
 
 

@@ -148,8 +148,10 @@ def picture_outcome(picture: tuple[str, str, bytes], folder: Path, tally: Counte
 
 
 def _is_small(sweep: Sweep) -> bool:
-    columns, rows = sweep.scenes[0].camera.resolution or (512, 512)
-    return columns * rows <= MOST_PIXELS
+    """False also for waves: their tables of weights may take longer than a case may."""
+    scene = sweep.scenes[0]
+    columns, rows = scene.camera.resolution or (512, 512)
+    return columns * rows <= MOST_PIXELS and scene.psf.model != "wave"
 
 
 def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
@@ -161,7 +163,8 @@ def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
     while len(path) > 1 and isinstance(path[-1], int):  # a component is of its key
         path.pop()
     table, recorded = key_name(path[:-1] or path), keys_of(error, where)
-    others = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf",), "group": ("object",)}
+    others = {"motion": ("fill", "psf"), "object": ("psf",), "camera": ("psf", "aperture"), "group": ("object",)}
+    others["lens"] = ("lens",)  # keyframes follow one another
     dependent = others.get(str(case.changed[0]), ())
     near = any(key.startswith((table, *dependent)) or table.startswith(key) or table in key for key in recorded)
     near |= case.changed[-1] == "name" and any(key.endswith(".name") for key in recorded)  # which must differ
