@@ -116,7 +116,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     blur_radius : array (rows, columns), px
         Signed R, at most 512 px, positive behind the focal surface.
     layers : sequence of (array (rows, columns, 2 to 16), array (rows, columns)), optional
-        Instead of `image` and `blur_radius`, 1 to MOST_IMAGES images that lie over each other, such as a foreground and
+        Instead of `image` and `blur_radius`, 1 to 8 images that lie over each other, such as a foreground and
         what is behind it, each with its radii. Linear floats, the last channel is alpha from 0 to 1, by which the
         others are multiplied. Where alpha is 0, the radius does not matter. Any order: radii say what is in front; of
         equal ones, the first layer is.
@@ -187,7 +187,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
             raise SceneError(f"{name}: must be {rule}; got {value!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
-    names, arrays = _given(image, blur_radius, layers)
+    names, arrays = _arrays_of(image, blur_radius, layers)
     session, arrays, as_given = on_host(device, **dict(zip(names, arrays, strict=True)))
     arrays = [without_mask(*pair) for pair in zip(names, arrays, strict=True)]
     picture = arrays[0]
@@ -308,7 +308,7 @@ class _Inputs:
         )
 
 
-def _given(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
+def _arrays_of(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
     """Arrays of all layers, or of one image, and their names for messages."""
     if bool(layers) != (image is None and blur_radius is None):
         raise ArgumentError("layers: must be given in place of image and blur_radius; got both or none of them")
@@ -343,7 +343,7 @@ def _joined(results: list[NDArray[np.float32]], alpha: bool) -> NDArray[np.float
 
 
 def _near_to_far(layers: list[_Layer]) -> tuple[_Layer, ...]:
-    """Layers from near to far. Those with the same radii are parts of one surface, and become one."""
+    """Layers from near to far; parts of one picture become one layer."""
     joined: list[_Layer] = []
     for layer in sorted(layers, key=_Layer.mean_radius):
         if joined and joined[-1].continues_in(layer):
@@ -354,9 +354,7 @@ def _near_to_far(layers: list[_Layer]) -> tuple[_Layer, ...]:
     return tuple(joined)
 
 
-def _check_layer(
-    name: str, picture: NDArray[Any], radii: NDArray[Any], shape: tuple[int, ...], alpha: bool
-) -> None:  # fmt: skip
+def _check_layer(name: str, picture: NDArray[Any], radii: NDArray[Any], shape: tuple[int, ...], alpha: bool) -> None:
     """Raise ArgumentError for an image with its radii that cannot be blurred, or that has not the first one's shape."""
     check_image(picture, name)
     if alpha and (picture.shape != shape or picture.ndim != 3 or picture.shape[2] < 2):

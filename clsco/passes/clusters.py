@@ -190,10 +190,8 @@ class Clusters:
         planes = (image.value, image.maps[0], *labels.values(), pyramid)
         levels = levels_of(height, width, self.deep, self.colors + 4)
         rows, columns, _ = levels[0]
-        head, marked = (
-            (job.grid, number, np.int32(rows), np.int32(columns)),
-            (np.int32(self.near), self.buffers["to_marked"]),
-        )
+        head = (job.grid, number, np.int32(rows), np.int32(columns))
+        marked = (np.int32(self.near), self.buffers["to_marked"])
         self._run_tiles(job, "measure_tiles", self.far, np.int32(1), left, to_left)
         run("open_sheet", (columns, rows), PIXELS, job.events, *head, *marked, *planes)
         pairs = [(fine, coarse, [np.int32(n) for n in (*fine[:2], *coarse[:2], fine[2], coarse[2])])

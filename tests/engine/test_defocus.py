@@ -297,11 +297,11 @@ def test_images_over_each_other(outside: Any) -> None:
         for image, coc in layers
     ]
     expected = over(spec, padded, (40, 56), guard)
-    found = defocus(layers=layers, psf=psf, outside=outside)
-    assert np.abs(found - expected).max() < FIGURE
-    assert np.array_equal(defocus(layers=layers[::-1], psf=psf, outside=outside), found)
+    blurred = defocus(layers=layers, psf=psf, outside=outside)
+    assert np.abs(blurred - expected).max() < FIGURE
+    assert np.array_equal(defocus(layers=layers[::-1], psf=psf, outside=outside), blurred)
     if outside == "mirror":
-        np.testing.assert_allclose(found[..., 3], 1.0, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(blurred[..., 3], 1.0, rtol=0, atol=1e-6)
 
 
 def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join() -> None:
@@ -320,11 +320,11 @@ def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join() ->
 
 def test_what_is_not_seen_has_no_effect_and_highlights_leave_no_dark_pixels() -> None:
     layers = images(24, 32)
-    found = defocus(layers=layers)
+    blurred = defocus(layers=layers)
     clear = np.zeros_like(layers[0][0]), np.full((24, 32), np.nan)
-    assert np.array_equal(defocus(layers=[*layers, clear]), found)
-    radii = [np.where(image[..., -1] > 0, coc, 1e9) for image, coc in layers]
-    assert np.array_equal(defocus(layers=[(image, coc) for (image, _), coc in zip(layers, radii, strict=True)]), found)
+    assert np.array_equal(defocus(layers=[*layers, clear]), blurred)
+    far = [(image, np.where(image[..., -1] > 0, coc, 1e9)) for image, coc in layers]
+    assert np.array_equal(defocus(layers=far), blurred)
     bright, coc = np.full((24, 24), 0.5), np.where(np.arange(24) < 12, -3.0, 5.0)[None].repeat(24, 0)
     bright[10, 10] = 1e6
     assert defocus(bright, coc).min() >= 0.5 * (1 - 1e-6)
