@@ -18,7 +18,7 @@ from clsco.data.record import Record
 from clsco.data.sets import DataSet, Status, check_resumable, finish, open_set, ranges, status_of
 from clsco.data.storage import Storage, open_storage, remove_path
 from clsco.errors import FileError, SceneError
-from clsco.files.atomic import file_digests
+from clsco.files.atomic import file_digests, naming
 
 
 def remake(
@@ -148,7 +148,8 @@ def _convert_shard(source_set: DataSet, new_set: DataSet, shard: int) -> None:
             reader = old.read(local)
             if len(reader) != len(own):
                 raise FileError(f"{file}: must hold {len(own)} samples, as the manifest says; got {len(reader)}")
-            new.write(path, _checked(file, reader, own))
+            with naming(path):
+                new.write(path, _checked(file, reader, own))
         finally:
             if not source_set.storage.is_local:
                 remove_path(local)

@@ -16,6 +16,7 @@ from typing import Any
 from clsco.data.fields import NUMBER, SHORT, checked_json
 from clsco.data.storage import Storage, checked_key
 from clsco.errors import FileError
+from clsco.files.atomic import naming
 from clsco.scene.text import brief
 
 PARTS, MERGED, FAILED, LOG = "manifest", "manifest.jsonl", "failed.jsonl", "log"
@@ -155,7 +156,7 @@ class Merged:
         lines = data.partition(b"\n")[2].splitlines(keepends=True)
         for key, own in ((MERGED, lines[: part.made]), (FAILED, lines[part.made :])):
             if own:
-                with open(self.paths[key], "ab") as file:
+                with naming(self.paths[key]), open(self.paths[key], "ab") as file:
                     file.writelines(own)
         self.files += files_of(part, data)
 

@@ -25,7 +25,7 @@ from clsco.data.sets import DataSet
 from clsco.data.storage import Storage, remove_path
 from clsco.engine.sequence import render_prepared
 from clsco.errors import DeviceError, FileError, SceneError
-from clsco.files.atomic import file_digests
+from clsco.files.atomic import file_digests, naming
 from clsco.frame.frame import Frame
 from clsco.frame.outputs import ATTRIBUTES
 from clsco.inputs.files import InputFiles
@@ -180,7 +180,8 @@ class ShardMaker:
                 if first is None:
                     continue
                 remove_path(path)
-                self.container.write(path, chain([first], source))
+                with naming(path):
+                    self.container.write(path, chain([first], source))
             files[key] = path
         described = {name: about for key, path in files.items() for name, about in file_digests(key, path).items()}
         part = part_bytes(

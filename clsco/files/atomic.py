@@ -45,6 +45,16 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give an OSError the name of the file that the block writes, which errors of write and flush lack."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or os.fspath(path)
+        raise
+
+
 def atomic_write_bytes(path: Path, content: bytes) -> None:
     """Write a file atomically. Raises FileError as `atomic_write`."""
     with atomic_write(path) as file:

@@ -110,7 +110,8 @@ def choose(name: str | None = None, source: str = "device") -> Device:
     """
     chosen = pick(_devices(), name, os.environ, _by_pyopencl, source).device
     if chosen is None:
-        raise DeviceError(NO_DEVICE)
+        why = poclcache.shortage()  # a limit that hides drivers from their loader
+        raise DeviceError(f"{NO_DEVICE}; got {why}" if why else NO_DEVICE)
     return chosen
 
 

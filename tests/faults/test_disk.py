@@ -15,6 +15,7 @@ import pytest
 from click.testing import Result
 
 from clsco.data import pool
+from clsco.files.atomic import naming
 from tests.cli.test_dataset import DISTRIBUTION, HerePool
 from tests.command import clsco_
 from tests.data.test_shards import files
@@ -28,7 +29,8 @@ _failing: list[tuple[Disk, str]] = []
 def _fail(event: str, args: tuple[Any, ...]) -> None:
     for disk, folder in _failing:
         if event in ("open", "os.rename", "os.mkdir") and str(args[0]).startswith(folder):
-            disk.call(event)
+            with naming(Path(args[0])):  # as the system does it
+                disk.call(event)
 
 
 sys.addaudithook(_fail)
@@ -76,6 +78,7 @@ def test_a_set_on_a_disk_that_fails(form: str, step: int, tmp_path: Path, monkey
             faults += 1
             assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1), result.stderr
             assert "sample" not in result.stderr
+            assert str(out) in result.stderr
             there = files(out) if out.exists() else {}
             assert {key: data for key, data in there.items() if whole.get(key) != data}.keys() <= {"dataset.json"}
             assert make(out, Disk()).exit_code == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import warnings
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -92,6 +93,9 @@ def test_nothing_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cl, "get_platforms", no_platforms)
     assert list_devices() == ((), Choice(None, NO_DEVICE))
     with pytest.raises(DeviceError, match=r'pip install "clsco\[pocl\]"'):
+        choose()
+    monkeypatch.setattr("resource.getrlimit", lambda kind: (5, 5) if kind == resource.RLIMIT_NOFILE else (-1, -1))
+    with pytest.raises(DeviceError, match=r"got a limit of 5 open files \(ulimit -n\)$"):
         choose()
 
 
