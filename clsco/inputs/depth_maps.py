@@ -86,10 +86,10 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     Middlebury's PFMs by inf. If near and far are set, the finite numbers are scaled to that range, and no number marks
     missing pixels. Surfaces at infinity, or farther than 1e12 mm, get 1e-12 per mm, and are blurred as at infinity.
 
-    Raises FileError if no pixel has a surface; if |R| exceeds 512 px, with a guess of the intended unit; if a depth is
-    below 1e-6 mm; if a blur radius (coc) is larger than the radius at infinity, which no depth has; and if near and far
-    are set, but all numbers are equal. Validated against the formulas in exact fractions, and by converting analytic
-    depth to every unit and back.
+    Raises FileError if no pixel has a surface, unless no_depth is "far"; if |R| exceeds 512 px, with a guess of the
+    intended unit; if a depth is below 1e-6 mm; if a blur radius (coc) is larger than the radius at infinity, which no
+    depth has; and if near and far are set, but all numbers are equal. Validated against the formulas in exact
+    fractions, and by converting analytic depth to every unit and back.
     """
     unit, nowhere = item.unit, np.zeros(raw.shape, np.bool_)
     with np.errstate(over="ignore"):
@@ -110,6 +110,8 @@ def inverse_depth(raw: NDArray[Any], item: DepthMap, camera: Camera, where: str 
     }
     missing = {name: int(np.count_nonzero(kind)) for name, kind in kinds.items()}
     valid = ~np.logical_or.reduce(list(kinds.values()))
+    if not valid.any() and item.no_depth == "far":
+        return DepthValues(np.zeros(raw.shape), missing, 0)
     if not valid.any():
         raise FileError(f"{where}: at least one pixel must have a depth; got {_listed(missing).lower()}")
     value = value[valid]

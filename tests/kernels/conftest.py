@@ -19,6 +19,7 @@ from clsco.opencl.program import build, kernel, launch
 from clsco.opencl.session import Session
 from clsco.records import Real, structs
 from clsco.resources import folder
+from tests.edges import edges as edges
 
 Array = NDArray[Any]
 
