@@ -345,7 +345,8 @@ def test_the_sky_is_far_where_it_is_said() -> None:
     np.testing.assert_array_equal(far.inverse_depth, [[FARTHEST] * 4, [FARTHEST, 1 / 250, 1 / 250, FARTHEST]])
     assert around.report() == far.report() == "6 of 8 pixels have no depth (4 zero, 1 negative, 1 NaN)"
     sky = map_of([[0.0, np.nan]], no_depth="far")
-    assert (sky.inverse_depth == FARTHEST).all() and sky.report()
+    assert (sky.inverse_depth == FARTHEST).all()
+    assert sky.report() == "2 of 2 pixels have no depth (1 zero, 1 NaN)"
     whole = map_of([[250.0, 300.0]], no_depth="far")
     np.testing.assert_array_equal(whole.inverse_depth, map_of([[250.0, 300.0]]).inverse_depth)
 

@@ -19,6 +19,8 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
     """Write records to a new file. The file is made in memory, because HDF5 does not survive a disk that fails.
 
     raw: True to compress nothing; else arrays are shuffled and deflated (gzip 4), which every build of HDF5 reads.
+    Each dataset is flushed at once: HDF5 gives it a place in the file when it is closed, and thus when the last
+    reference to it goes, which another thread may hold, such as a profiler.
     """
     h5py = import_extra(path, *NEEDS)
     options = {} if raw else {"shuffle": True, "compression": "gzip", "compression_opts": 4}
@@ -27,12 +29,13 @@ def write(path: Path, records: Iterable[Record], raw: bool = False) -> None:
             group = file.create_group(record.key)
             text = base.meta_bytes(record)
             group.create_dataset("meta", data=text, dtype=h5py.string_dtype("utf-8", len(text)), track_times=False)
+            file.flush()
             for name, array in record.items():
                 chunks = None if raw else array.shape
                 made = group.create_dataset(name, data=array, chunks=chunks, track_times=False, **options)
                 if unit := record.meta["arrays"][name]["unit"]:
                     made.attrs["unit"] = unit
-        file.flush()
+                file.flush()
         content = file.id.get_file_image()
     with path.open("xb") as stored:
         stored.write(content)
