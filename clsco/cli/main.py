@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import signal
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -56,6 +57,7 @@ def _end_by_signals() -> Iterator[list[int]]:
 
     def end(number: int, _: object) -> NoReturn:
         arrived.append(number)
+        warnings.simplefilter("ignore")  # libraries warn of coroutines that are dropped unawaited
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, end) for number in ENDINGS}

@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager, suppress
@@ -194,6 +195,7 @@ def stoppable() -> Iterator[None]:
 
 
 def _exit(number: int, _: FrameType | None) -> NoReturn:
+    warnings.simplefilter("ignore")  # libraries warn of coroutines that are dropped unawaited
     raise SystemExit(128 + number)
 
 

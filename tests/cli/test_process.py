@@ -44,8 +44,10 @@ def test_the_process_ends_with_its_status_and_all_its_output(words: tuple[str, .
 AT_IMPORT = """
 import builtins, os, signal
 imports = builtins.__import__
+async def work(): pass
 def interrupt(name, *rest):
     if name == "{place}":
+        dropped = work()  # as libraries leave behind
         os.kill(os.getpid(), signal.{name})
     return imports(name, *rest)
 builtins.__import__ = interrupt
@@ -67,6 +69,7 @@ functools.cached_property.__set_name__ = interrupt
         (AT_IMPORT, "clsco.cli.main", "SIGINT", (130, "interrupted\n")),
         (AT_IMPORT, "click", "SIGTERM", (143, "terminated\n")),
         (AT_IMPORT, "clsco.scene.quantities", "SIGTERM", (143, "terminated\n")),
+        (AT_IMPORT, "clsco.plan.prepare", "SIGINT", (130, "interrupted\n")),
         (AT_CLASS, "color_plans", "SIGINT", (130, "interrupted\n")),  # of Plan: Python raises RuntimeError there
     ],
 )
@@ -78,6 +81,18 @@ def test_a_signal_while_modules_are_imported_ends_with_one_line(
     command = [sys.executable, "-c", script, "plan", str(scene)]
     process = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert (process.returncode, process.stderr) == end
+
+
+def test_a_worker_that_is_ended_says_nothing_of_what_it_drops() -> None:
+    lines = [
+        "import os, signal; from clsco.data.pool import stoppable",
+        "async def work(): pass",
+        "with stoppable():",
+        "    dropped = work()",
+        "    os.kill(os.getpid(), signal.SIGTERM)",
+    ]
+    process = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, timeout=60)
+    assert (process.returncode, process.stderr) == (143, "")
 
 
 def test_a_thread_that_works_is_waited_for() -> None:
