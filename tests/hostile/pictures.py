@@ -5,8 +5,11 @@ from __future__ import annotations
 import io
 import random
 import struct
+import time
+import tracemalloc
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import imagecodecs
@@ -41,10 +44,22 @@ def tiff(data: Array, **options: Any) -> bytes:
     return encoded(tifffile.imwrite, data, **{"photometric": kind, "metadata": None, **options})
 
 
-def pfm(data: Array) -> bytes:
-    """A PFM of gray or RGB."""
-    kind = "PF" if data.ndim == 3 else "Pf"
-    return f"{kind}\n{data.shape[1]} {data.shape[0]}\n-1.0\n".encode() + data[::-1].astype("<f4").tobytes()
+def pfm(data: Array, scale: str = "-1.0") -> bytes:
+    """A PFM of gray or RGB; scale: below 0 for little endian."""
+    head = f"{'PF' if data.ndim == 3 else 'Pf'}\n{data.shape[1]} {data.shape[0]}\n{scale}\n"
+    return head.encode() + data[::-1].astype("<f4" if scale.startswith("-") else ">f4").tobytes()
+
+
+def soon_and_small(call: Callable[[Path], str], path: Path) -> str:
+    """Result of a call, in no more time and memory than a file of strangers may take."""
+    tracemalloc.start()
+    start = time.perf_counter()
+    found = call(path)
+    seconds, peak = time.perf_counter() - start, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 1  # the figure to reach for hostile images
+    assert peak < 2**24  # the first import of a codec takes some 10 MB, the smallest image over the limit 128 MB
+    return found
 
 
 @cache
