@@ -66,6 +66,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         "SPANS": int(has_spans(spec, fp64)),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
+        "QUADRANTS": int(spec.by_quadrants),
         "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
     }
 
@@ -134,6 +135,10 @@ def prepare_sources(
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     coc, valid = (*maps, None)[:2]
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, coc, valid, source, *rims)
+
+
+Half = tuple[np.int32, np.int32, np.int32]
+"""Half of the taps of sources: 1 below, -1 above; the quadrants of the lens on their right and left."""
 
 
 @dataclass(frozen=True)
@@ -218,8 +223,8 @@ class BlurredPlane(ABC):
         cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
     @abstractmethod
-    def add(self, sources: Sources, events: Events) -> None:
-        """Enqueue kernels that add the blurred radiance of sources."""
+    def add(self, sources: Sources, events: Events, half: Half | None = None) -> None:
+        """Enqueue kernels that add the blurred radiance of sources; half: of the taps, for `BlurSpec.by_quadrants`."""
 
     def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to the plane
         """Enqueue kernels that convert the sums in `sink` to the image in `layout`; most methods need none."""
@@ -246,7 +251,7 @@ class TableBlur(BlurredPlane):
             if table is not None
         ]
 
-    def add(self, sources: Sources, events: Events) -> None:
+    def add(self, sources: Sources, events: Events, half: Half | None = None) -> None:
         head = (self.grid, self.struct, sources.source, sources.value, *self.tables[0])
         tail: tuple[object, ...] = ()
         if self.spec.subpixels:
@@ -259,7 +264,7 @@ class TableBlur(BlurredPlane):
             tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells)
             tail += (sources.depth,) if self.rays is None else (self.rays, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
-        self.spread(head, (*tail, *bends), events)
+        self.spread(head, (*tail, *bends, *(half or ())), events)
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
