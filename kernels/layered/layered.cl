@@ -37,7 +37,6 @@
 #define MASK_REACH 2      // px, last offset of MASK
 #define NOISE 5.0f        // weight of the surfaces' variance against the color of a mixed pixel
 #define LEAST_DEVIATION 0.02f  // least standard deviation of a surface, as a share of its color
-#define OPAQUE 0.999f     // least alpha of pixels whose color may be that of two surfaces
 #define UNEVEN 0.1f       // px, least step of the radius that changes the brightness of an even surface
 #define FEWEST_TAPS 4.8f  // least taps in a quadrant of a disc
 #define NOWHERE (1 << 24)  // px, farther than anything reaches

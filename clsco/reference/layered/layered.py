@@ -224,7 +224,7 @@ def take_sheet(
     radiance: not yet multiplied by alpha (H, W); edges, parts: from `find_edges` and `unmix`. The layer covers its own
     pixels, its share of mixed pixels, and behind nearer layers what its outline on both sides suggests; farther layers
     it leaves free. Its radiance and radius elsewhere are extrapolated. Where the pixel in front of it has nearly the
-    same radius, the surface is the pixel's.
+    same radius, the surface is the pixel's, except in mixed pixels, which show what is farther, too.
     """
     (near, far), (near_light, far_light, near_share) = edges, parts
     own, shared = layer == which, near == which
@@ -237,7 +237,8 @@ def take_sheet(
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
     light = np.where(visible[..., None], light, spread[..., :-1])
     radius = np.where(own, coc, spread[..., -1])
-    same = hidden & (np.abs(radius - coc) <= SAME)
+    whole = (near != layer) & (alpha >= OPAQUE)
+    same = hidden & whole & (np.abs(radius - coc) <= SAME)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
     coverage = np.where(same, alpha, coverage)[..., None]
     return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
