@@ -36,7 +36,7 @@ from clsco.plan.buffers import image_buffers
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
-from clsco.plan.methods import BlurSpec, can_have_cells, choose_blur, lens_cells
+from clsco.plan.methods import BlurSpec, choose_blur, lens_cells
 from clsco.plan.passes import Pass
 from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
@@ -190,8 +190,6 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         if value not in get_args(kinds):
             rule = " or ".join(f'"{kind}"' for kind in get_args(kinds))
             raise SceneError(f"{name}: must be {rule}; got {value!r}")
-    if cells not in (None, 1, 2):
-        raise SceneError(f"cells: must be 1 or 2; got {cells!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
     names, arrays = _arrays_of(image, blur_radius, layers)
@@ -202,8 +200,6 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         lens_camera = lens_camera.model_copy(update={"resolution": picture.shape[1::-1]})
     spread = load_point_spread(model, opening, camera=lens_camera)
     spreads = spreads_of_colors(spread, model, lens_camera)
-    if cells == 2 and not can_have_cells(spread, model.border):
-        raise SceneError('cells: must be 1 with aperture.rim and psf.border = "renormalize"; got 2')
     codes = picture.dtype in (np.uint8, np.uint16) and not layers
     factor = exposure_factor(opening, spread) if opening.exposure == "area" else None
     each = []
@@ -419,11 +415,10 @@ def _spec(
     most = max(largest, 1.0) if inputs.images else largest
     blur = choose_blur(method, psf, device, most, inputs.channels, one_radius).value
     layered = model.occlusion == "layered" and blur != "convolve" and inputs.layers[0].steepest > DISCONTINUITY
-    layered = layered or inputs.images > 0
+    layered, cells = layered or inputs.images > 0, lens_cells(psf, blur, model.border, largest, cells)
     return BlurSpec(
         psf, blur, smallest, largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
-        layered=layered, cells=(cells or lens_cells(psf, blur, model.border, largest)) if layered else 1,
-        images=inputs.images,
+        layered=layered, cells=cells if layered else 1, images=inputs.images,
     )  # fmt: skip
 
 

@@ -101,7 +101,7 @@ class Sources:
     objects; group: has the occluders; depth, sub_depth: inverse depths of sources and of sub-pixel sources.
 
     radius: |R| of all sources in px, for "convolve" only; label: label of the ray hits, if rays were cast; bends: plane
-    of `clsco.passes.bend.Bends`, if blurs are ellipses.
+    of `clsco.passes.bend.Bends`, if blurs are ellipses; half: QUADRANT_ARGUMENTS of psf.clh for `by_quadrants`.
     """
 
     source: cl.Buffer | None
@@ -117,6 +117,7 @@ class Sources:
     radius: float = 0.0
     label: cl.Buffer | None = None
     bends: cl.Buffer | None = None
+    half: tuple[np.int32, ...] = ()
 
 
 BehindRims = Callable[[Any], dict[str, Any]]
@@ -135,10 +136,6 @@ def prepare_sources(
     size = -(-int(grid["width"]) // TAP_LANES), int(grid["height"])
     coc, valid = (*maps, None)[:2]
     target.run("prepare_sources", size, BLOCKS, events, grid, psf, coc, valid, source, *rims)
-
-
-Half = tuple[np.int32, np.int32, np.int32]
-"""Half of the taps of sources: 1 below, -1 above; the quadrants of the lens on their right and left."""
 
 
 @dataclass(frozen=True)
@@ -223,8 +220,8 @@ class BlurredPlane(ABC):
         cl.enqueue_fill_buffer(self.target.session.queue, buffer, np.zeros(1, np.uint32), 0, buffer.size)
 
     @abstractmethod
-    def add(self, sources: Sources, events: Events, half: Half | None = None) -> None:
-        """Enqueue kernels that add the blurred radiance of sources; half: of the taps, for `BlurSpec.by_quadrants`."""
+    def add(self, sources: Sources, events: Events) -> None:
+        """Enqueue kernels that add the blurred radiance of sources."""
 
     def resolve(self, events: Events) -> None:  # noqa: B027  most methods add directly to the plane
         """Enqueue kernels that convert the sums in `sink` to the image in `layout`; most methods need none."""
@@ -251,7 +248,7 @@ class TableBlur(BlurredPlane):
             if table is not None
         ]
 
-    def add(self, sources: Sources, events: Events, half: Half | None = None) -> None:
+    def add(self, sources: Sources, events: Events) -> None:
         head = (self.grid, self.struct, sources.source, sources.value, *self.tables[0])
         tail: tuple[object, ...] = ()
         if self.spec.subpixels:
@@ -264,7 +261,7 @@ class TableBlur(BlurredPlane):
             tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells)
             tail += (sources.depth,) if self.rays is None else (self.rays, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
-        self.spread(head, (*tail, *bends, *(half or ())), events)
+        self.spread(head, (*tail, *bends, *sources.half), events)
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:

@@ -86,12 +86,11 @@ class DepthLayers:
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
         """Begin a frame without light, in which the lens is free but for rims."""
-        queue, free = self.target.session.queue, self.room.size
-        if self.inner.spec.by_quadrants:  # the last plane is the light of ones
-            free = free // 5 * 4
-            cl.enqueue_fill_buffer(queue, self.room, ZERO, free, self.room.size - free)
+        queue, (columns, rows) = self.target.session.queue, self.outer.size
+        free = 4 * self.inner.spec.cells**2 * rows * columns  # bytes; another plane is the light of ones
+        for buffer in (self.light, self.room):
+            cl.enqueue_fill_buffer(queue, buffer, ZERO, 0, buffer.size)
         cl.enqueue_fill_buffer(queue, self.room, ONE, 0, free)
-        cl.enqueue_fill_buffer(queue, self.light, ZERO, 0, self.light.size)
         if behind:
             args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.room)
             self.target.run("open_share", self.outer.size, PIXELS, job.events, *args)
@@ -117,13 +116,11 @@ class DepthLayers:
         for sign in sheet.signs if by_quadrants else (0,):
             sources = self._sources(job, inner, sheet.image, behind)
             self._keep(job, sheet.image, 1, sheet.needed, sheet.to_needed, sign)
-            if not by_quadrants:
-                inner.add(sources, job.events)
-            for side in (1, -1) if by_quadrants else ():
+            for side in (1, -1) if by_quadrants else (0,):
                 # A positive radius lights the pixels on the side of the lens point, a negative one those opposite.
-                row, right = (side * sign < 0), int(sign < 0)
-                quadrants = (2 * row + right, 2 * row + 1 - right)
-                inner.add(sources, job.events, (np.int32(side), *map(np.int32, quadrants)))
+                row, right = 2 * (side * sign < 0), int(sign < 0)
+                half = tuple(map(np.int32, (side, row + right, row + 1 - right)))
+                inner.add(replace(sources, half=half if by_quadrants else ()), job.events)
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         args += (sheet.image.maps[0],) if by_quadrants else ()

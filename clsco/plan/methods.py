@@ -91,18 +91,16 @@ class BlurSpec:
         return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
 
 
-def lens_cells(psf: PointSpread, method: Blur, border: str, largest: float) -> int:
-    """Cells of the lens along each axis for layered occlusion: 2 if blur is wide. One cell has the accuracy of four for
-    |R| up to WIDE_BLUR px (`python -m benchmarks.truth.pictures`).
-    """
-    return 2 if largest > WIDE_BLUR and can_have_cells(psf, border) and method in MANY_RADII else 1
+def lens_cells(psf: PointSpread, method: Blur, border: str, largest: float, cells: int | None = None) -> int:
+    """Cells of the lens along each axis for layered occlusion: `cells`, or by default 2 if blur is wide.
 
-
-def can_have_cells(psf: PointSpread, border: str) -> bool:
-    """True if light through each quadrant of the lens can be added apart: no rims cut the lens, discs are not ellipses,
-    and no light is returned to the frame.
+    For |R| up to WIDE_BLUR px, one cell has the accuracy of four (`python -m benchmarks.truth.pictures`). Rims,
+    ellipses, and light that is returned to the frame need one. Raises SceneError.
     """
-    return not psf.rims and psf.stretched == 0.0 and border == "lose"
+    separable = not psf.rims and psf.stretched == 0.0 and border == "lose"
+    if cells not in (None, 1, 2) or (cells == 2 and not separable):
+        raise SceneError(f'cells: must be 1 or 2, and 1 with aperture.rim or psf.border = "renormalize"; got {cells!r}')
+    return cells or (2 if largest > WIDE_BLUR and separable and method in MANY_RADII else 1)
 
 
 def occluder_room(occluders: int) -> int:

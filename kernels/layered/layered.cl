@@ -274,7 +274,7 @@ __kernel void measure_tiles(const int rows, const int columns, const int far, co
 }
 
 // Keeps only the sources that reach a tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
-// nearest such tile; sign: of the radii of all sources to keep, 0 for any. In: coc, flags, distance. In and out: source.
+// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, flags, distance. In and out: source.
 __kernel void keep_sources(const grid_t grid, const real2 spread, const int which, const int sign,
                            __global const real *coc,
                            __global const int *flags, __global const int *distance, __global float *source) {

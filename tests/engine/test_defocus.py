@@ -162,6 +162,9 @@ def test_uniform_light_stays_uniform_up_to_the_border() -> None:
     assert 0.125 < dark[0, 0] < 0.15  # a quarter of its light, and of half a pixel more
     with pytest.raises(ClscoError, match='outside: must be "mirror" or "black"; got \'zero\''):
         defocus(image, coc, outside="zero")  # type: ignore[call-overload]
+    for psf, cells in ((None, 3), ({"border": "renormalize"}, 2)):
+        with pytest.raises(ClscoError, match=f"cells: must be 1 or 2, and 1 with .*; got {cells}"):
+            defocus(image, coc, psf, cells=cells)
 
 
 def test_a_blurred_background_does_not_bleed_into_what_is_in_focus() -> None:
