@@ -36,7 +36,7 @@ from clsco.plan.buffers import image_buffers
 from clsco.plan.device import DeviceFacts
 from clsco.plan.image import ImagePlan
 from clsco.plan.memory import Limit, device_bytes, fit_strips, limit_of
-from clsco.plan.methods import BlurSpec, choose_blur
+from clsco.plan.methods import BlurSpec, choose_blur, lens_cells
 from clsco.plan.passes import Pass
 from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
@@ -53,6 +53,7 @@ class Options(TypedDict, total=False):
 
     aperture: ApertureLike
     camera: CameraLike
+    cells: int | None
     device: DeviceLike
     method: str
     memory: str | int | None
@@ -99,6 +100,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     return_report: bool = False,
     aperture: ApertureLike = None,
     camera: CameraLike = None,
+    cells: int | None = None,
     device: DeviceLike = None,
     method: str = "auto",
     memory: str | int | None = None,
@@ -128,6 +130,9 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     camera : Camera or mapping, optional
         Keys of the scene file's [camera] with their values. Required only for psf.model = "wave" and aberrations, which
         depend on the f-number and the pixel pitch.
+    cells : int, optional
+        For layered occlusion, cells of the lens along each axis, which near surfaces hide one by one: 1 or 2. By
+        default 2 for |R| above 6 px, except with aperture.rim and psf.border = "renormalize".
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
         arrays.
@@ -216,7 +221,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         if separate:  # each color is blurred by itself
             parts = ((inputs.of_color(color), color_psf) for color, color_psf in enumerate(spreads))
         results = [
-            _blur_image(session, part, _spec(part, color_psf, model, method, session.device), limit)
+            _blur_image(session, part, _spec(part, color_psf, model, method, session.device, cells), limit)
             for part, color_psf in parts
         ]
         result = _joined(results, alpha=bool(layers)) if separate else results[0]
@@ -400,7 +405,9 @@ def _assign_edges(layers: list[_Layer]) -> tuple[list[_Layer], int]:
     return new, count
 
 
-def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts) -> BlurSpec:
+def _spec(
+    inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: DeviceFacts, cells: int | None
+) -> BlurSpec:  # fmt: skip
     smallest, largest = inputs.ends
     check_waves(psf, largest)
     one_radius = smallest == largest and model.border == "lose" and not inputs.images
@@ -408,9 +415,10 @@ def _spec(inputs: _Inputs, psf: PointSpread, model: Psf, method: str, device: De
     most = max(largest, 1.0) if inputs.images else largest
     blur = choose_blur(method, psf, device, most, inputs.channels, one_radius).value
     layered = model.occlusion == "layered" and blur != "convolve" and inputs.layers[0].steepest > DISCONTINUITY
+    layered, cells = layered or inputs.images > 0, lens_cells(psf, blur, model.border, largest, cells)
     return BlurSpec(
         psf, blur, smallest, largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
-        layered=layered or inputs.images > 0, images=inputs.images,
+        layered=layered, cells=cells if layered else 1, images=inputs.images,
     )  # fmt: skip
 
 

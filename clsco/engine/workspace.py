@@ -130,7 +130,7 @@ class BlurWorkspace(Workspace):
             from clsco.passes.clusters import Clusters, layered_program
             from clsco.passes.layered import DepthLayers
 
-            kernels = layered_program(session, tallest.channels, real, alpha=spec.images > 0)
+            kernels = layered_program(session, tallest.channels, real, alpha=spec.images > 0, cells=spec.cells)
             self._clusters = Clusters(kernels, spec, tallest)
             self._composite = DepthLayers(self._blurred, self._clusters, tallest, behind_rims)
 

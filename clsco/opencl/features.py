@@ -44,6 +44,7 @@ FEATURES = {
     "SPANS": "runs of one weight between edges",
     "SCATTER": "source by source in fixed point",
     "RENORMALIZE": "light is divided by the weights inside the frame",
+    "QUADRANTS": "light through each quadrant of the lens is added apart",
     "PREPARE": "sources are made of a map of radii: 1 with gaps, 2 of floats without",
     "WIDE_SUMS": "sums of 64 bits keep very bright light apart",
     "SCAN_COLUMNS": "columns are exposed one after another",

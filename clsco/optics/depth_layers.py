@@ -40,6 +40,14 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
     return bounds[: MOST_LAYERS - 1]
 
 
+def signs_of(low: float, bins: tuple[int, ...]) -> tuple[int, ...]:
+    """Signs of the radii that the sheet of a depth layer may have, 1 also for 0. low: from `bins_of`; bins: the layer's
+    first bin, and the next layer's. A radius that is another layer's may be a bin off.
+    """
+    least, most = (low + LAYER_BIN * (number + more) for number, more in zip(bins, (-1, 1), strict=True))
+    return tuple(sign for sign, there in ((1, most >= 0.0), (-1, least < 0.0)) if there)
+
+
 def reaches_of(psf: PointSpread, radii: NDArray[np.float64]) -> NDArray[np.int64]:
     """Upper bounds in px of what sources with these signed radii (px) reach."""
     return np.ceil(np.abs(radii) * psf.extent + psf.pupil.margin).astype(np.int64) + REACH_MARGIN

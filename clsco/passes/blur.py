@@ -66,6 +66,7 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
         "SPANS": int(has_spans(spec, fp64)),
         "SCATTER": int(method == "scatter"),
         "RENORMALIZE": int(spec.border == "renormalize" and method != "none"),
+        "QUADRANTS": int(spec.by_quadrants),
         "PREPARE": MAPS.index(maps) if method in MANY_RADII else 0,
     }
 
@@ -100,7 +101,7 @@ class Sources:
     objects; group: has the occluders; depth, sub_depth: inverse depths of sources and of sub-pixel sources.
 
     radius: |R| of all sources in px, for "convolve" only; label: label of the ray hits, if rays were cast; bends: plane
-    of `clsco.passes.bend.Bends`, if blurs are ellipses.
+    of `clsco.passes.bend.Bends`, if blurs are ellipses; half: QUADRANT_ARGUMENTS of psf.clh for `by_quadrants`.
     """
 
     source: cl.Buffer | None
@@ -116,6 +117,7 @@ class Sources:
     radius: float = 0.0
     label: cl.Buffer | None = None
     bends: cl.Buffer | None = None
+    half: tuple[np.int32, ...] = ()
 
 
 BehindRims = Callable[[Any], dict[str, Any]]
@@ -259,7 +261,7 @@ class TableBlur(BlurredPlane):
             tail += (sources.lens, sources.surfaces, sources.group, self.lens_cells)
             tail += (sources.depth,) if self.rays is None else (self.rays, sources.depth)
             tail += (sources.sub_depth,) if self.spec.subpixels else ()
-        self.spread(head, (*tail, *bends), events)
+        self.spread(head, (*tail, *bends, *sources.half), events)
 
     @abstractmethod
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:

@@ -16,7 +16,7 @@ from clsco.frame.strips import Grid
 from clsco.opencl.buffers import allocate, download
 from clsco.opencl.program import Target
 from clsco.opencl.session import Session
-from clsco.optics.depth_layers import bins_of, layer_bounds, levels_of, most_deep, reaches_of
+from clsco.optics.depth_layers import bins_of, layer_bounds, levels_of, most_deep, reaches_of, signs_of
 from clsco.passes.blur import PIXELS, Image
 from clsco.passes.job import Job
 from clsco.plan.buffers import cluster_buffers, label_buffers
@@ -36,7 +36,7 @@ class Sheet:
 
     image: radiance times coverage, coverage and ones; left, needed: int of each tile, 1 if nearer sheets leave room in
     it, and if the sheet reaches it, too; to_needed: px to the nearest tile of the latter kind; still_left: like `left`,
-    with the sheet, 0 so far.
+    with the sheet, 0 so far; signs: of its radii.
     """
 
     image: Image
@@ -44,6 +44,7 @@ class Sheet:
     needed: cl.Buffer
     to_needed: cl.Buffer
     still_left: cl.Buffer
+    signs: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -72,12 +73,15 @@ class Layers:
     to_plain: cl.Buffer
 
 
-def layered_program(session: Session, channels: int, real: Real, alpha: bool = False) -> Target:
+def layered_program(
+    session: Session, channels: int, real: Real, alpha: bool = False, cells: int = 1
+) -> Target:  # fmt: skip
     """Target with the kernels of layered occlusion, for images of `channels` channels, the last of which may be alpha.
 
     The kernels have a program of their own, because they depend on few features.
     """
-    return Target.build(session, FILES, {"CHANNELS": channels - alpha, "ALPHA": int(alpha)}, real)
+    features = {"CHANNELS": channels - alpha, "ALPHA": int(alpha), "QUADRANTS": int(cells > 1)}
+    return Target.build(session, FILES, features, real)
 
 
 class Clusters:
@@ -155,7 +159,7 @@ class Clusters:
             self._label(job, image, labels, bounds)
         self._mark(job)
         pairs = product(range(1, count + 1), zip(images, self.labels, strict=True))
-        sheets = (self._sheet(job, image, labels, number) for number, (image, labels) in pairs)
+        sheets = (self._sheet(job, image, labels, number, bounds) for number, (image, labels) in pairs)
         return Layers(count, sheets, None if self.alpha else images[0], *tiles)
 
     def _label(self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], bounds: tuple[int, ...]) -> None:
@@ -181,7 +185,9 @@ class Clusters:
             self._run_tiles(job, "measure_tiles", far, np.int32(which), marked, self.buffers[name])
         cl.enqueue_copy(self.target.session.queue, left, marked)
 
-    def _sheet(self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], index: int) -> Sheet:
+    def _sheet(
+        self, job: Job, image: Image, labels: Mapping[str, cl.Buffer], index: int, bounds: tuple[int, ...]
+    ) -> Sheet:  # fmt: skip
         """The sheet of depth layer number `index`, from 1."""
         run, number, (width, height) = self.target.run, np.int32(index), size_of(job.grid)
         pyramid, left, to_left = self._named("pyramid", "left", "to_left")
@@ -209,7 +215,8 @@ class Clusters:
         self._run_tiles(job, "measure_tiles", self.far, np.int32(1), needed, to_needed)
         self._fill(ZERO, "still_left")
         self.buffers["left"], self.buffers["still_left"] = self._named("still_left", "left")
-        return Sheet(Image(value, (coc, valid)), left, needed, to_needed, self.buffers["left"])
+        signs = signs_of(self.low, (0, *bounds, self.bins)[index - 1 : index + 1])
+        return Sheet(Image(value, (coc, valid)), left, needed, to_needed, self.buffers["left"], signs)
 
     def _run_tiles(self, job: Job, name: str, far: int, *args: object) -> None:
         """Enqueue a kernel that looks at the tiles up to `far` px around each tile."""

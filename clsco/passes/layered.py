@@ -86,8 +86,11 @@ class DepthLayers:
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
         """Begin a frame without light, in which the lens is free but for rims."""
-        for pattern, buffer in ((ONE, self.room), (ZERO, self.light)):
-            cl.enqueue_fill_buffer(self.target.session.queue, buffer, pattern, 0, buffer.size)
+        queue, (columns, rows) = self.target.session.queue, self.outer.size
+        free = 4 * self.inner.spec.cells**2 * rows * columns  # bytes; another plane is the light of ones
+        for buffer in (self.light, self.room):
+            cl.enqueue_fill_buffer(queue, buffer, ZERO, 0, buffer.size)
+        cl.enqueue_fill_buffer(queue, self.room, ONE, 0, free)
         if behind:
             args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.room)
             self.target.run("open_share", self.outer.size, PIXELS, job.events, *args)
@@ -97,18 +100,28 @@ class DepthLayers:
         prepare_sources(self.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
-    def _keep(self, job: Job, image: Image, which: int, flags: cl.Buffer, distance: cl.Buffer) -> None:
-        """Discard the sources that reach no tile with the flag `which`; distance: to the nearest such tile, px."""
-        args = (job.grid, self.spread, np.int32(which), image.maps[0], flags, distance, self.source)
+    def _keep(
+        self, job: Job, image: Image, which: int, flags: cl.Buffer, distance: cl.Buffer, sign: int = 0
+    ) -> None:  # fmt: skip
+        """Discard the sources that reach no tile with the flag `which`, and unless `sign` is 0, those whose radius has
+        another one; distance: to the nearest such tile, px.
+        """
+        args = (job.grid, self.spread, np.int32(which), np.int32(sign), image.maps[0], flags, distance, self.source)
         self.target.run("keep_sources", (tiles_of(job.grid)[0], size_of(job.grid)[1]), TILES, job.events, *args)
 
     def _lay(self, job: Job, sheet: Sheet, behind: dict[str, Any]) -> None:
         """Blur a sheet, and lay it behind the previous ones."""
-        inner = self.inner
-        sources = self._sources(job, inner, sheet.image, behind)
-        self._keep(job, sheet.image, 1, sheet.needed, sheet.to_needed)
+        inner, by_quadrants = self.inner, self.inner.spec.by_quadrants
         inner.begin(job.grid)
-        inner.add(sources, job.events)
+        for sign in sheet.signs if by_quadrants else (0,):
+            sources = self._sources(job, inner, sheet.image, behind)
+            self._keep(job, sheet.image, 1, sheet.needed, sheet.to_needed, sign)
+            for side in (1, -1) if by_quadrants else (0,):
+                # A positive radius lights the pixels on the side of the lens point, a negative one those opposite.
+                row, right = 2 * (side * sign < 0), int(sign < 0)
+                half = tuple(map(np.int32, (side, row + right, row + 1 - right)))
+                inner.add(replace(sources, half=half if by_quadrants else ()), job.events)
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
+        args += (sheet.image.maps[0],) if by_quadrants else ()
         self.target.run("composite", inner.size, PIXELS, job.events, *args)

@@ -158,13 +158,14 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     """
     reach, channels, rows, columns = spec.reach, grid.channels, grid.rows, grid.columns
     _, pitch = margin(columns, grid.guard, reach)
-    sizes = {"total": 4 * channels * rows * pitch}
+    planes = channels * (4 if spec.by_quadrants else 1)
+    sizes = {"total": 4 * planes * rows * pitch}
     if spec.method in MANY_RADII:
         sizes |= _table_buffers(spec)
     if spec.method == "gather":
         bands = bands_at_a_time(rows, device.compute_units)
         columnwise = by_columns(spec.psf)
-        in_parts = _in_parts(reach)
+        in_parts = _in_parts(reach) and not spec.by_quadrants
         sizes["position"] = 4 * (bands if in_parts or columnwise else ceil(rows / BAND))
         if in_parts:
             sizes["part"] = 4 * channels * bands * BAND * pitch
@@ -173,7 +174,7 @@ def blur_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
         if columnwise:
             sizes["scratch"] = bands * column_bytes(spec.psf, spec.tilt, channels, reach)
     if spec.method == "scatter":
-        sizes["sums"] = 8 * channels * rows * columns
+        sizes["sums"] = 8 * planes * rows * columns
     if spec.method == "convolve":
         height, width = rows + 2 * grid.guard, columns + 2 * grid.guard
         if is_summed(spec.psf, reach):
@@ -219,7 +220,7 @@ def _table_buffers(spec: BlurSpec) -> Sizes:
 def sheet_spec(spec: BlurSpec) -> BlurSpec:
     """Specification of the blur of a sheet; spec: specification of the frame's blur."""
     brightest = max(spec.brightest, 1.0)
-    return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest)
+    return replace(spec, smallest=0.0, subpixels=0, small=False, brightest=brightest, layered=False)
 
 
 TILE_PLANES = (
@@ -258,7 +259,8 @@ def layered_buffers(spec: BlurSpec, grid: Grid, device: DeviceFacts) -> Sizes:
     begin with "blur ". spec: specification of the frame's blur.
     """
     pixels, layer, colors = grid.rows * grid.columns, sheet_spec(spec), grid.channels - (spec.images > 0)
-    sizes = source_buffers(spec, grid) | {"room": 4 * pixels, "light": 4 * colors * pixels}
+    rooms = spec.cells**2 + (spec.cells > 1)  # of each cell, and the light of ones
+    sizes = source_buffers(spec, grid) | {"room": 4 * rooms * pixels, "light": 4 * colors * pixels}
     inner = blur_buffers(layer, replace(grid, channels=colors + 2), device)
     span, layer_span = (rounded_span(each.psf, each.smallest, each.largest, 0) for each in (spec, layer))
     if span == layer_span:  # one table serves both

@@ -17,6 +17,7 @@ Occlusion = Literal["visibility", "layered", "none"]
 # px: |R| times number of channels up to which "scatter", by atomics, is faster than "tiles", which tests the sources
 # around a pixel (`python -m benchmarks.speed.gpu`).
 FEW_TAPS = 6.0
+WIDE_BLUR = 6.0  # px, largest |R| up to which one cell of the lens is enough for layered occlusion
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources with different radii
 HOW: dict[Blur, str] = {
@@ -68,6 +69,7 @@ class BlurSpec:
     brightest: float = 1.0  # largest |radiance|, which determines the unit of integer sums
     border: Literal["lose", "renormalize"] = "lose"  # light beyond the frame is lost, or returned to the frame
     layered: bool = False  # True if sources are in depth layers, with nearer ones hiding farther ones
+    cells: int = 1  # cells of the lens along each axis that depth layers hide one by one, 1 or 2
     images: int = 0  # number of images with alpha that lie over each other, 0 for one image without alpha
     curved: int = 0  # feature CURVED of the lens if visibility tests or ellipses need it, else 0
     shared: bool = False  # True if sub-pixel sources of fine textures may share the visibility test of their pixel
@@ -79,9 +81,26 @@ class BlurSpec:
         return self.subpixels > 0 or self.occluders > 0
 
     @property
+    def by_quadrants(self) -> bool:
+        """True if light through each quadrant of the lens is added apart, as in the sheets of depth layers."""
+        return self.cells > 1 and not self.layered
+
+    @property
     def reach(self) -> int:
         """Largest half-width of a row of weights in the tables, px."""
         return max(table_reach(self.psf, self.largest, fine) for fine in {False, self.subpixels > 0})
+
+
+def lens_cells(psf: PointSpread, method: Blur, border: str, largest: float, cells: int | None = None) -> int:
+    """Cells of the lens along each axis for layered occlusion: `cells`, or by default 2 if blur is wide.
+
+    For |R| up to WIDE_BLUR px, one cell has the accuracy of four (`python -m benchmarks.truth.pictures`). Rims,
+    ellipses, and light that is returned to the frame need one. Raises SceneError.
+    """
+    separable = not psf.rims and psf.stretched == 0.0 and border == "lose"
+    if cells not in (None, 1, 2) or (cells == 2 and not separable):
+        raise SceneError(f'cells: must be 1 or 2, and 1 with aperture.rim or psf.border = "renormalize"; got {cells!r}')
+    return cells or (2 if largest > WIDE_BLUR and separable and method in MANY_RADII else 1)
 
 
 def occluder_room(occluders: int) -> int:

@@ -44,7 +44,7 @@ from clsco.plan.descriptions import describe_blur, describe_frame, describe_pixe
 from clsco.plan.device import DeviceFacts, ThisMachine
 from clsco.plan.features import curvature_of, shape_features
 from clsco.plan.image import blur_passes, color_passes, light_of, prefix_names, sensor_pass, strips_of, vignetting_pass
-from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, occluder_room
+from clsco.plan.methods import MANY_RADII, Blur, BlurSpec, Occlusion, lens_cells, occluder_room
 from clsco.plan.passes import Kind, Pass
 from clsco.plan.request import Request
 from clsco.scene.model import Scene
@@ -198,10 +198,12 @@ class Plan:
     def spec(self) -> BlurSpec:
         room = occluder_room(max(len(self.psf.rims), *(group.occluders.bit_count() for group in self.groups)))
         limited = room > 0 and shape_features(self.scene.objects)["NAPPE"] > 0
+        layered, border = self.occlusion == "layered", self.scene.psf.border
         return BlurSpec(
             self.psf, self.blur, self.smallest_blur, self.largest_blur, self.silhouettes, self.tilt,
-            occluders=room, limited=limited, border=self.scene.psf.border,
-            layered=self.occlusion == "layered", curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
+            occluders=room, limited=limited, border=border, layered=layered,
+            cells=lens_cells(self.psf, self.blur, border, self.largest_blur) if layered else 1,
+            curved=curvature_of(self.scene) if room or self.psf.stretched else 0,
             shared=room > 0 and self.mapped > 0 and self.silhouettes > 0 and self.psf.shares_lens,
             small=self.small,
         )  # fmt: skip

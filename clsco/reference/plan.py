@@ -21,7 +21,7 @@ from clsco.optics.point_spread import PointSpread, spreads_of_colors
 from clsco.optics.pupils.circle import Circle
 from clsco.optics.quadrics import cutting_bounds
 from clsco.optics.visibility import OcclusionGroup
-from clsco.plan.methods import BlurSpec, Occlusion
+from clsco.plan.methods import BlurSpec, Occlusion, lens_cells
 from clsco.plan.plan import make_plan
 from clsco.plan.request import Request
 from clsco.reference.common.geometry import Array, blur_radius, pixel_ray
@@ -133,7 +133,9 @@ class ReferencePlan:
     def spec(self) -> BlurSpec:
         """The blur specification; fields that the reference does not use have placeholder values."""
         scene, psf = self.scene, self.psf
-        return BlurSpec(psf, "scatter", 0.0, self.claimed[2], tilt=scene.psf.tilt, border=scene.psf.border)
+        border, largest = scene.psf.border, self.claimed[2]
+        cells = lens_cells(psf, "scatter", border, largest)
+        return BlurSpec(psf, "scatter", 0.0, largest, tilt=scene.psf.tilt, border=border, cells=cells)
 
 
 def _hollow(item: Object) -> bool:

@@ -105,7 +105,7 @@ INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, floa
 
 // Adds one channel of a source tap by tap, rounded to multiples of 1 / scale. visibility: its occluders, 0 for none.
 static void scatter_source(const grid_t grid, spread_t spread, const visibility_t *visibility, float4 source, float v,
-                           float scale, int row, int column, __global fixed_t *sums) {
+                           float scale, int row, int column, __global fixed_t *sums QUADRANT_ARGUMENTS) {
     const int half_width = spread.half_width;
     for (int dy = MAX(-half_width, -row); dy <= MIN(half_width, grid.rows - 1 - row); ++dy)
         for (int dx = MAX(-half_width, -column); dx <= MIN(half_width, grid.columns - 1 - column); ++dx) {
@@ -114,7 +114,16 @@ static void scatter_source(const grid_t grid, spread_t spread, const visibility_
             if (visibility)
                 light *= FIRST_LANE(free_taps(visibility, spread, dx, dy));
 #endif
+#if QUADRANTS
+            light *= HALF_SHARE(side, dy) * (dx ? 1 : 0.5f);
+            const int own = (row + dy) * grid.columns + column + dx, apart = CHANNELS * grid.rows * grid.columns;
+            if (dx >= 0)
+                ADD_FIXED(sums + on_right * apart + own, (fixed_t)floor(light + 0.5f));
+            if (dx <= 0)
+                ADD_FIXED(sums + on_left * apart + own, (fixed_t)floor(light + 0.5f));
+#else
             ADD_FIXED(sums + (row + dy) * grid.columns + column + dx, (fixed_t)floor(light + 0.5f));
+#endif
         }
 }
 
@@ -122,7 +131,7 @@ static void scatter_source(const grid_t grid, spread_t spread, const visibility_
 __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *source,
                       __global const float *value, __global const int2 *intervals,
                       __global const float *coefficients, const float scale, __global fixed_t *sums
-                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES) {
+                      SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES QUADRANT_ARGUMENTS) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -145,7 +154,7 @@ __kernel void scatter(const grid_t grid, const psf_t psf, __global const float *
 #endif
         for (int k = 0; k < CHANNELS; ++k)
             scatter_source(grid, s.spread, visibility, s.record, s.light[k * s.apart], scale, row, column,
-                           sums + k * sums_plane);
+                           sums + k * sums_plane QUADRANT_VALUES);
     }
 }
 
@@ -155,7 +164,7 @@ __kernel void resolve(const grid_t grid, const float scale, const int pitch, con
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
-    for (int k = 0; k < CHANNELS; ++k)
+    for (int k = 0; k < SIDES * SIDES * CHANNELS; ++k)
         total[(k * grid.rows + row) * pitch + column + pad] =
             (float)sums[(k * grid.rows + row) * grid.columns + column] / scale;
 }

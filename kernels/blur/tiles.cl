@@ -72,17 +72,24 @@ static void note_source(const grid_t grid, const psf_t psf, __global const float
 }
 
 // Adds the radiance of one source to the pixel (dx, dy) from it.
-static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light, float *sum) {
+static void add_source_tap(spread_t spread, int dx, int dy, float4 source, const float *light,
+                           float *sum QUADRANT_ARGUMENTS) {
     if (MAX(ABS(dx), ABS(dy)) > spread.half_width)
         return;
     const float weight = tap(spread, dx, dy, source);
-    for (int k = 0; k < CHANNELS; ++k)
+    for (int k = 0; k < CHANNELS; ++k) {
+#if QUADRANTS
+        sum[k] += HALF_SHARE(side, dy) * HALF_SHARE(1, dx) * weight * light[k];
+        sum[CHANNELS + k] += HALF_SHARE(side, dy) * HALF_SHARE(-1, dx) * weight * light[k];
+#else
         sum[k] += weight * light[k];
+#endif
+    }
 }
 
 // Adds the radiance of the i-th source of a chunk to pixel (x, y) of the grid.
 static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, __local const chunk_t *chunk,
-                       float *sum SUBPIXEL_ARGUMENTS) {
+                       float *sum SUBPIXEL_ARGUMENTS QUADRANT_ARGUMENTS) {
     const int dx = x - chunk->x[i], dy = y - chunk->y[i];
     float light[CHANNELS];
 #if SUBPIXELS
@@ -97,7 +104,7 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
             const spread_t spread = subpixel_spread(
                 psf, sub_intervals, sub_coefficients, s,
                 sub PLACE_VALUES(FRAME_ROW(grid, chunk->y[i]), chunk->x[i] - grid.guard));
-            add_source_tap(spread, dx, dy, s, light, sum);
+            add_source_tap(spread, dx, dy, s, light, sum QUADRANT_VALUES);
         }
         return;
     }
@@ -108,14 +115,14 @@ static void add_source(const grid_t grid, const psf_t psf, int x, int y, int i, 
 #endif
     for (int k = 0; k < CHANNELS; ++k)
         light[k] = chunk->light[i][k];
-    add_source_tap(chunk->spread[i], dx, dy, s, light, sum);
+    add_source_tap(chunk->spread[i], dx, dy, s, light, sum QUADRANT_VALUES);
 }
 
 // One work-item per pixel, in groups of a tile. In and out: total.
 __attribute__((reqd_work_group_size(GROUP_COLUMNS, GROUP_ROWS, 1)))
 __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *source, __global const float *value,
                     __global const int2 *intervals, __global const float *coefficients, const int pitch, const int pad,
-                    __global float *total SUBPIXEL_ARGUMENTS) {
+                    __global float *total SUBPIXEL_ARGUMENTS QUADRANT_ARGUMENTS) {
     __local chunk_t chunk;
     const int column = get_global_id(0), row = get_global_id(1);
     const int item = get_local_id(1) * GROUP_COLUMNS + get_local_id(0);
@@ -125,8 +132,8 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
     // Chunks go beyond the grid, where nothing is, so that they, and all bits, do not depend on the width of the apron.
     const int first_x = tile.left - psf.reach, across = GROUP_COLUMNS + 2 * psf.reach;
     const int first_y = tile.top - psf.reach, down = GROUP_ROWS + 2 * psf.reach;
-    float sum[CHANNELS], over[CHANNELS];
-    for (int k = 0; k < CHANNELS; ++k)
+    float sum[SIDES * CHANNELS], over[SIDES * CHANNELS];
+    for (int k = 0; k < SIDES * CHANNELS; ++k)
         sum[k] = over[k] = 0;  // not as {0}, for which PoCL 3.0 makes wrong code with two channels
     // Work-items beyond the end of the frame look up sources, too.
     for (int start = 0; start < across * down; start += CHUNK) {
@@ -139,23 +146,29 @@ __kernel void tiles(const grid_t grid, const psf_t psf, __global const float *so
             note_source(grid, psf, source, value, intervals, coefficients, tile, source_x, source_y, item,
                         &chunk SUBPIXEL_VALUES);
         barrier(CLK_LOCAL_MEM_FENCE);
-        float part[CHANNELS];
-        for (int k = 0; k < CHANNELS; ++k)
+        float part[SIDES * CHANNELS];
+        for (int k = 0; k < SIDES * CHANNELS; ++k)
             part[k] = 0;
         for (int word = 0; word < CHUNK / WORD; ++word)
             for (uint left_over = chunk.reaching[word]; left_over; left_over &= left_over - 1) {
                 const int lowest = WORD - 1 - (int)clz(left_over & -left_over);
-                add_source(grid, psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES);
+                add_source(grid, psf, x, y, word * WORD + lowest, &chunk, part SUBPIXEL_VALUES QUADRANT_VALUES);
             }
-        for (int k = 0; k < CHANNELS; ++k) {  // Kahan summation, as wide PSFs have thousands of chunks
+        for (int k = 0; k < SIDES * CHANNELS; ++k) {  // Kahan summation, as wide PSFs have thousands of chunks
             const float more = part[k] - over[k], next = sum[k] + more;
             over[k] = (next - sum[k]) - more;
             sum[k] = next;
         }
     }
     if (column < grid.columns && row < grid.rows)
-        for (int k = 0; k < CHANNELS; ++k)
-            total[(k * grid.rows + row) * pitch + column + pad] += sum[k];
+        for (int k = 0; k < SIDES * CHANNELS; ++k) {
+#if QUADRANTS
+            const int plane = (k < CHANNELS ? on_right : on_left - 1) * CHANNELS + k;
+#else
+            const int plane = k;
+#endif
+            total[(plane * grid.rows + row) * pitch + column + pad] += sum[k];
+        }
 }
 
 #pragma OPENCL FP_CONTRACT OFF

@@ -2,7 +2,11 @@
 // radiance C, radius R and coverage a in all pixels, by the kernels of the blur, and laid over each other from the
 // nearest on,
 //     I = sum_k T_k B(a C) / B(1),  T_k+1 = T_k (1 - B(a) / B(1)),  T_1 = 1.
-// Both sums of a ratio run over the whole sheet: even radiance stays even. Tiles without an edge in reach are blurred
+// Both sums of a ratio run over the whole sheet: even radiance stays even. With QUADRANTS, T_k is that of each quadrant
+// of the lens, so that what hides one side of it leaves the other side free: with sums B_q over the taps of quadrant q,
+//     I = sum_kq T_kq B_q(a C) / B(1),  T_k+1,q = T_kq (1 - B_q(a) / B_q(1)),
+// divided by the same of C = 1 plus the fraction that is left of the lens, which are 1 unless radii differ much. Small
+// discs have too few taps for quadrants, and are laid over all of them. Tiles without an edge in reach are blurred
 // without occlusion. Twin: clsco/reference/layered/layered.py. Host: clsco/passes/layered.py, which picks it for
 // psf.occlusion = "layered".
 //
@@ -33,8 +37,8 @@
 #define MASK_REACH 2      // px, last offset of MASK
 #define NOISE 5.0f        // weight of the surfaces' variance against the color of a mixed pixel
 #define LEAST_DEVIATION 0.02f  // least standard deviation of a surface, as a share of its color
-#define OPAQUE 0.999f     // least alpha of pixels whose color may be that of two surfaces
 #define UNEVEN 0.1f       // px, least step of the radius that changes the brightness of an even surface
+#define FEWEST_TAPS 4.8f  // least taps in a quadrant of a disc
 #define NOWHERE (1 << 24)  // px, farther than anything reaches
 
 // Gaussian of 0.6 px: by it, the labels alone give the share of a layer.
@@ -270,15 +274,20 @@ __kernel void measure_tiles(const int rows, const int columns, const int far, co
 }
 
 // Keeps only the sources that reach a tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
-// nearest such tile. In: coc, flags, distance. In and out: source.
-__kernel void keep_sources(const grid_t grid, const real2 spread, const int which, __global const real *coc,
+// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, flags, distance. In and out: source.
+__kernel void keep_sources(const grid_t grid, const real2 spread, const int which, const int sign,
+                           __global const real *coc,
                            __global const int *flags, __global const int *distance, __global float *source) {
     const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), columns = columns_of(grid);
     if (begin >= grid.width || y >= grid.height)
         return;
     const int away = distance[tile_of(grid, begin, y)];
-    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && away > 0; ++x) {
+    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && (away > 0 || sign); ++x) {
         const int pixel = y * grid.width + x, far = reach_of(coc[pixel], spread);
+        if (sign && (coc[pixel] < 0) != (sign < 0)) {
+            source[pixel] = -1;
+            continue;
+        }
         bool keep = far > 2 * LAYER_TILE || far < away;  // wide blurs are not worth the search
         for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && !keep; ++row)
             for (int at = MAX(x - far, 0) / LAYER_TILE; at <= MIN(x + far, grid.width - 1) / LAYER_TILE; ++at)
@@ -289,11 +298,16 @@ __kernel void keep_sources(const grid_t grid, const real2 spread, const int whic
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
-// from_pitch), with scratch columns as the total of blur.cl; left, needed. In and out: room float (rows, columns), the
-// fraction of the lens that is free; light float (CHANNELS, rows, columns); still_left: 1 for tiles with room.
+// from_pitch), of all quadrants if there are, with scratch columns as the total of blur.cl; left, needed. In and out:
+// room float (rows, columns), the fraction of the lens that is free, with QUADRANTS of each of the four, and then the
+// light of C = 1; light float (CHANNELS, rows, columns); still_left: 1 for tiles with room.
 __kernel void composite(const grid_t grid, const int from_pitch, const int from_pad, __global const float *blurred,
                         __global const int *left, __global const int *needed, __global float *room,
-                        __global float *light, __global int *still_left) {
+                        __global float *light, __global int *still_left
+#if QUADRANTS
+                        , __global const real *coc  // of the sheet
+#endif
+                        ) {
     const int column = get_global_id(0), row = get_global_id(1);
     if (column >= grid.columns || row >= grid.rows)
         return;
@@ -302,6 +316,37 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
         return;
     __global const float *sums = blurred + row * from_pitch + column + from_pad;
     const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
+#if QUADRANTS
+    const int pixels = grid.rows * grid.columns, apart = (CHANNELS + 2) * plane;
+    const float radius = (float)coc[(row + grid.above) * grid.width + column + grid.guard];
+    const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
+    float coverage[4], covered = 0, unseen = 0;
+    for (int q = 0; q < 4; ++q) {
+        coverage[q] = needed[tile] ? sums[q * apart + CHANNELS * plane] : 0;
+        covered += coverage[q];
+        unseen += room[q * pixels + at];
+    }
+    if (covered > 0) {
+        float own[4], ones = 0, mean = 0;
+        for (int q = 0; q < 4; ++q) {
+            own[q] = sums[q * apart + (CHANNELS + 1) * plane];
+            ones += own[q];
+            mean += room[q * pixels + at] * own[q];
+        }
+        unseen = 0;
+        for (int q = 0; q < 4; ++q) {
+            const float before = room[q * pixels + at], part = (joined ? mean / ones : before) / ones;
+            const float share = joined || own[q] <= 0 ? covered / ones : coverage[q] / own[q];
+            for (int c = 0; c < CHANNELS; ++c)
+                light[c * pixels + at] += part * sums[q * apart + c * plane];
+            room[4 * pixels + at] += part * coverage[q];
+            room[q * pixels + at] = before * (1 - MIN(share, 1.0f));
+            unseen += room[q * pixels + at];
+        }
+    }
+    if (unseen > 0)
+        raise(still_left + tile, 1);
+#else
     const float ones = needed[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
     if (ones > 0) {
         for (int c = 0; c < CHANNELS; ++c)
@@ -310,6 +355,7 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
     }
     if (room[at] > 0)
         raise(still_left + tile, 1);
+#endif
 }
 
 // Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover.
@@ -322,10 +368,17 @@ __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __gl
         return;
     if (!marked[tile_of(grid, column + grid.guard, row + grid.above)])
         return;
+    const int at = row * grid.columns + column, pixels = grid.rows * grid.columns;
+#if QUADRANTS
+    const float left = 0.25f * (room[at] + room[pixels + at] + room[2 * pixels + at] + room[3 * pixels + at]);
+    const float seen = room[4 * pixels + at], scale = seen > 0 ? 1 / (seen + left) : 0, coverage = seen * scale;
+#else
+    const float scale = 1, coverage = 1 - room[at];
+#endif
     for (int c = 0; c < CHANNELS; ++c)
-        total[(c * grid.rows + row) * pitch + column + pad] = light[(c * grid.rows + row) * grid.columns + column];
+        total[(c * grid.rows + row) * pitch + column + pad] = scale * light[c * pixels + at];
     if (ALPHA)
-        total[(CHANNELS * grid.rows + row) * pitch + column + pad] = 1 - room[row * grid.columns + column];
+        total[(CHANNELS * grid.rows + row) * pitch + column + pad] = coverage;
 }
 
 #pragma OPENCL FP_CONTRACT OFF

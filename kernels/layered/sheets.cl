@@ -15,10 +15,12 @@
 #define GAIN 4.0f         // steepness of a hidden outline
 
 // A pixel's part of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
-// known: weight of its radiance and radius; settled: 1 if its coverage is known, 0 behind a nearer layer.
+// known: weight of its radiance and radius; settled: 1 if its coverage is known, 0 behind a nearer layer; whole: the
+// pixel shows one surface alone.
 typedef struct {
     __global const float *light;
     float scale, share, known, settled;
+    bool whole;
 } part_t;
 
 // The part of sheet `which` in pixel `at`.
@@ -26,7 +28,8 @@ static part_t part_of(int which, int at, int plane, __global const float *value,
                       __global const uchar *sides, __global const float *mixed) {
     const int own = layer[at], near = sides[at] >> 4, far = sides[at] & 15;
     const float alpha = own == which ? alpha_of(value, plane, at) : 0;
-    part_t part = {value + at, 1, alpha, alpha, own == 0 || own >= which};
+    const bool whole = near != own && alpha_of(value, plane, at) >= OPAQUE;
+    part_t part = {value + at, 1, alpha, alpha, own == 0 || own >= which, whole};
     if (near == which) {
         part.light = mixed + at;
         part.share = part.scale = mixed[2 * CHANNELS * plane + at];
@@ -166,7 +169,7 @@ static hidden_t hidden_at(part_t part, float alpha, real coc, int rows, int colu
     const int plane = rows * columns;
     const around_t near = around(pyramid + KNOWN * plane, rows, columns, y, x);
     hidden_t hidden = {near, part.share, between(pyramid + RADIUS * plane, near), part.share > 0};
-    if (!part.settled && ABS(hidden.radius - coc) <= SAME) {
+    if (!part.settled && part.whole && ABS(hidden.radius - coc) <= SAME) {
         hidden.radius = coc;
         hidden.coverage = alpha;
         hidden.shown = true;

@@ -162,6 +162,9 @@ def test_uniform_light_stays_uniform_up_to_the_border() -> None:
     assert 0.125 < dark[0, 0] < 0.15  # a quarter of its light, and of half a pixel more
     with pytest.raises(ClscoError, match='outside: must be "mirror" or "black"; got \'zero\''):
         defocus(image, coc, outside="zero")  # type: ignore[call-overload]
+    for psf, cells in ((None, 3), ({"border": "renormalize"}, 2)):
+        with pytest.raises(ClscoError, match=f"cells: must be 1 or 2, and 1 with .*; got {cells}"):
+            defocus(image, coc, psf, cells=cells)
 
 
 def test_a_blurred_background_does_not_bleed_into_what_is_in_focus() -> None:
@@ -286,10 +289,10 @@ def images(rows: int, columns: int) -> list[tuple[Any, Any]]:
     return layers
 
 
-@pytest.mark.parametrize("outside", ["mirror", "black"])
-def test_images_over_each_other(outside: Any) -> None:
+@pytest.mark.parametrize(("outside", "cells"), [("mirror", 1), ("black", 1), ("black", 2)])
+def test_images_over_each_other(outside: Any, cells: int) -> None:
     layers, psf = images(40, 56), Psf()
-    spec = spec_of(psf, 4.0)
+    spec = spec_of(psf, 4.0, cells=cells)
     guard = guard_band(spec.psf, "lose", 4.0)
     mode: Any = {"mirror": "symmetric", "black": "constant"}[outside]
     padded = [
@@ -297,25 +300,26 @@ def test_images_over_each_other(outside: Any) -> None:
         for image, coc in layers
     ]
     expected = over(spec, padded, (40, 56), guard)
-    blurred = defocus(layers=layers, psf=psf, outside=outside)
+    blurred = defocus(layers=layers, psf=psf, outside=outside, cells=cells)
     assert np.abs(blurred - expected).max() < FIGURE
-    assert np.array_equal(defocus(layers=layers[::-1], psf=psf, outside=outside), blurred)
+    assert np.array_equal(defocus(layers=layers[::-1], psf=psf, outside=outside, cells=cells), blurred)
     if outside == "mirror":
         np.testing.assert_allclose(blurred[..., 3], 1.0, rtol=0, atol=1e-6)
 
 
-def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join() -> None:
+@pytest.mark.parametrize("cells", [1, 2])
+def test_an_opaque_image_hides_what_is_behind_and_parts_of_one_surface_join(cells: int) -> None:
     image, _ = picture(40, 56, channels=3)
     i, j = np.mgrid[0:40, 0:56]
     coc = np.where(np.hypot(i - 18, j - 30) < 11, -3.0, 2.0)
     whole = np.dstack([image, np.ones(coc.shape)]).astype(np.float32), coc
-    plain = defocus(whole[0][..., :3], coc)
-    np.testing.assert_allclose(defocus(layers=[whole])[..., :3], plain, rtol=0, atol=1e-6)
-    farther = defocus(layers=[whole, (whole[0] * np.float32(0.5), coc + 4.0)])
-    np.testing.assert_allclose(farther[..., :3], defocus(layers=[whole])[..., :3], rtol=0, atol=1e-6)
+    plain, opaque = defocus(whole[0][..., :3], coc, cells=cells), defocus(layers=[whole], cells=cells)
+    np.testing.assert_allclose(opaque[..., :3], plain, rtol=0, atol=1e-6)
+    farther = defocus(layers=[whole, (whole[0] * np.float32(0.5), coc + 4.0)], cells=cells)
+    np.testing.assert_allclose(farther[..., :3], opaque[..., :3], rtol=0, atol=1e-6)
     mask = (np.random.default_rng(2).random(coc.shape) < 0.5)[..., None]
-    parts = defocus(layers=[(whole[0] * mask, coc), (whole[0] * ~mask, coc)])
-    assert np.array_equal(parts, defocus(layers=[whole]))
+    parts = defocus(layers=[(whole[0] * mask, coc), (whole[0] * ~mask, coc)], cells=cells)
+    assert np.array_equal(parts, opaque)
 
 
 def test_what_is_not_seen_has_no_effect_and_highlights_leave_no_dark_pixels() -> None:

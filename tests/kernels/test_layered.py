@@ -20,12 +20,12 @@ from clsco.passes.frame_blur import make_blur
 from clsco.passes.job import Job
 from clsco.passes.layered import DepthLayers
 from clsco.passes.pack import grid_struct
-from clsco.plan.methods import Blur
+from clsco.plan.methods import Blur, BlurSpec
 from clsco.records import REAL, Real, flat
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered import layered as twin
 from clsco.reference.trace.trace import Sources
-from clsco.scene.model import Psf
+from clsco.scene.model import Aperture, Psf
 from tests.kernels.sources import assert_close
 from tests.slow import mostly_slow
 from tests.spreads import spec_of
@@ -42,8 +42,10 @@ class View:
 
     def __init__(
         self, radii: tuple[float, ...], shape: tuple[int, int] = (47, 69), guard: int = 6, channels: int = 1,
-        psf: Psf | None = None, holes: bool = False, slope: float = 0.02,
+        psf: Psf | None = None, holes: bool = False, slope: float = 0.02, cells: int = 1,
+        aperture: Aperture | None = None,
     ) -> None:  # fmt: skip
+        self.cells, self.aperture = cells, aperture
         self.psf, self.shape, self.guard = Psf() if psf is None else psf, shape, guard
         size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
         y, x = np.indices(size)
@@ -63,31 +65,31 @@ class View:
     def largest(self) -> float:
         return float(np.abs(self.coc).max())
 
+    def spec(self, method: Blur = "gather") -> BlurSpec:
+        return spec_of(self.psf, self.largest, method, self.aperture, layered=True, cells=self.cells)
+
     def expected(self) -> tuple[Array, int]:
-        return twin.layered(
-            spec_of(self.psf, self.largest), self.radiance, self.coc, self.valid, self.shape, self.guard
-        )
+        return twin.layered(self.spec(), self.radiance, self.coc, self.valid, self.shape, self.guard)
 
     def plain(self) -> Array:
         """Without occlusion."""
         gradient = prepare_sources(self.coc, self.valid)
         ones = np.ones(self.coc.shape)
         sources = Sources(self.radiance, ones, self.valid.astype(np.uint8), self.coc, gradient, self.valid)
-        return scatter(spec_of(self.psf), sources, None, self.shape, self.guard)
+        return scatter(spec_of(self.psf, aperture=self.aperture), sources, None, self.shape, self.guard)
 
 
 class Device:
     """The view on a device."""
 
     def __init__(self, session: Session, view: View, method: Blur = "gather", real: Real = "double") -> None:
-        psf, channels = view.psf, view.radiance.shape[2]
-        spec = spec_of(psf, view.largest, method)
+        spec, channels = view.spec(method), view.radiance.shape[2]
         target = blur_target(session, spec, channels, real)
         grid = grid_struct(*view.shape, view.guard, real)
         self.session, self.view, guard = session, view, view.guard
         tallest = Grid.whole(*view.shape, guard, channels)
         self.blur = make_blur(target, spec, tallest, grid)
-        self.clusters = Clusters(layered_program(session, channels, real), spec, tallest)
+        self.clusters = Clusters(layered_program(session, channels, real, cells=view.cells), spec, tallest)
         self.layers = DepthLayers(self.blur, self.clusters, tallest)
         self.job = Job(strip=Strip(0, view.shape[0], guard, guard), grid=grid, events=[])
         self.maps = upload(session, view.coc.astype(REAL[real])), upload(session, view.valid.astype(np.uint8))
@@ -117,11 +119,20 @@ VIEWS = {
     "gaussian": View((-2.5, 2.2), psf=Psf(model="gaussian")),
     "no tilt": View((-3.5, 4.2), psf=Psf(tilt=False)),
     "steep": View((-1.5, 2.2), slope=0.12),
+    "quadrants": View((-3.5, 4.2), channels=3, cells=2),
+    "quadrants, four": View((-8.2, -3.4, 1.2, 7.9), guard=12, cells=2),
+    "quadrants, holes": View((-3.5, 0.8, 4.2), holes=True, cells=2),
+    "quadrants, gaussian": View((-4.5, 3.2), psf=Psf(model="gaussian"), cells=2),
+    "quadrants, no tilt": View((-5.5, 4.2), psf=Psf(tilt=False), cells=2),
+    "quadrants, sampled": View((-5.5, 4.2), psf=Psf(edge="sampled"), cells=2),
+    "quadrants, steep": View((-5.5, 3.2), slope=0.12, cells=2),
+    "quadrants, ring": View((-8.5, 6.2), guard=10, aperture=Aperture(shape="ring"), cells=2),
+    "quadrants, polygon": View((-8.5, 6.2), guard=10, aperture=Aperture(shape="polygon", blades=5), cells=2),
     "a row": View((-3.5, 4.2), shape=(1, 90), guard=0),
 }
 
 
-@pytest.mark.parametrize("name", mostly_slow(VIEWS, ["near and far"]))
+@pytest.mark.parametrize("name", mostly_slow(VIEWS, ["near and far", "quadrants"]))
 def test_frames(session: Session, name: str) -> None:
     view = VIEWS[name]
     expected, count = view.expected()
@@ -187,11 +198,13 @@ def test_tiles_without_an_edge_in_reach_are_plain_to_the_bit(session: Session) -
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cells", [1, 2])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_scatter_is_gather(session: Session, channels: int) -> None:
-    """In fixed point, in another order, from the same tables."""
-    view = View((-3.5, 1.0, 4.2), channels=channels)
-    (first, count), (second, same) = (Device(session, view, method).image() for method in ("gather", "scatter"))
+@pytest.mark.parametrize("method", ["scatter", "tiles"])
+def test_other_methods_are_gather(session: Session, method: Blur, channels: int, cells: int) -> None:
+    """In fixed point, or in another order, from the same tables."""
+    view = View((-3.5, 1.0, 4.2), channels=channels, cells=cells)
+    (first, count), (second, same) = (Device(session, view, each).image() for each in ("gather", method))
     assert count == same
     assert_close(second, first, 4e-6)
 
@@ -203,8 +216,9 @@ def test_single_precision(session: Session) -> None:
     assert_close(Device(session, view, real="float").image()[0], view.expected()[0], 2 * FIGURE)
 
 
-def test_the_same_bits_every_time(session: Session) -> None:
-    view = VIEWS["four"]
+@pytest.mark.parametrize("name", ["four", "quadrants, four"])
+def test_the_same_bits_every_time(session: Session, name: str) -> None:
+    view = VIEWS[name]
     device = Device(session, view)
     first, _ = device.image()
     for _ in range(3):
@@ -212,9 +226,9 @@ def test_the_same_bits_every_time(session: Session) -> None:
     assert Device(session, view).image()[0].tobytes() == first.tobytes()
 
 
-@pytest.mark.parametrize("method", ["gather", "scatter"])
-def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur) -> None:
-    view = View((2.0,), channels=3, slope=0.05)
+@pytest.mark.parametrize(("method", "cells"), [("gather", 1), ("gather", 2), ("scatter", 1)])
+def test_one_layer_is_plain_scattering_to_the_bit(session: Session, method: Blur, cells: int) -> None:
+    view = View((2.0,), channels=3, slope=0.05, cells=cells)
     device = Device(session, view, method)
     found, count = device.image()
     assert count == 1

@@ -132,6 +132,7 @@ CARDS = [CARD | {"bounds": [[-5.0, 4.0], [-75.0 + k, 75.0], [-1.0, 1.0]], "dista
         ("gather", {"object": [BALL, WALL], "sequence": {"samples": 2}}),
         ("scatter", {"object": [*CARDS, FLOOR], "psf": {"model": "gaussian"}}),
         ("gather", {"object": [*CARDS, WALL], "psf": {"border": "renormalize"}}),
+        ("gather", {"object": [CARDS[0], FLOOR], "camera": {"aperture_diameter": 24.0}}),
     ], [("gather", {"object": [*CARDS, FLOOR]})]),
 )  # fmt: skip
 def test_layers_in_strips(method: str, sections: dict[str, Any], peak: list[int]) -> None:

@@ -14,6 +14,7 @@ from clsco.optics.depth_layers import MOST_LAYERS, bins_of, layer_bounds, level_
 from clsco.reference.blur.blur import prepare_sources, scatter
 from clsco.reference.layered.layered import (
     composite,
+    composite_quadrants,
     find_discontinuities,
     find_edges,
     label_depth_layers,
@@ -235,6 +236,23 @@ def test_composite_takes_the_room_that_is_left() -> None:
     np.testing.assert_allclose(room[0], [0.0, 0.0, 0.0], atol=1e-15)
 
 
+def test_what_hides_one_side_of_the_lens_leaves_the_other_free() -> None:
+    sums = np.array([[[[0.9, 0.5, 1.0]]], [[[0.5, 0.25, 0.5]]]]).repeat(2, axis=0) / 4.0
+    total, room = composite_quadrants(np.zeros((1, 1, 2)), np.ones((1, 1, 4)), sums, np.full((1, 1), 9.0))
+    np.testing.assert_allclose(total[0, 0], [0.7 / 0.75, 0.375 / 0.75], atol=1e-15)
+    np.testing.assert_allclose(room[0, 0], 0.5, atol=1e-15)
+    # Two edges above each other hide the same half of the lens from the wall, each of them alone.
+    shape, guard = (5, 40), 14
+    size = (shape[0] + 2 * guard, shape[1] + 2 * guard)
+    mask = (np.indices(size)[1] < guard + 20)[..., None] * 1.0
+    near = [(np.concatenate([0.0 * mask, mask], axis=-1), np.full(size, radius)) for radius in (-8.0, -6.5)]
+    wall = np.ones((*size, 2)), np.full(size, 5.0)
+    for cells, light in ((1, 0.25), (2, 0.5)):
+        image = over(spec_of(Psf(), 8.0, cells=cells), [*near, wall], shape, guard)
+        np.testing.assert_allclose(image[..., 19:21, 0].mean(axis=-1), light, rtol=0, atol=0.05)
+        np.testing.assert_allclose(image[..., 1], 1.0, rtol=0, atol=1e-12)
+
+
 def test_an_edge_before_a_plane_is_its_closed_form() -> None:
     """A dark half-plane before a bright plane: 1 - the disc's area beyond the edge, averaged over each pixel."""
     guard, shape = 22, (5, 60)
@@ -261,11 +279,12 @@ ROUGH: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
+@pytest.mark.parametrize("cells", [1, 2])
 @pytest.mark.parametrize("name", ROUGH)
-def test_one_brightness_everywhere_stays_so(name: str) -> None:
+def test_one_brightness_everywhere_stays_so(name: str, cells: int) -> None:
     shape, guard = (40, 44), 8
     coc = ROUGH[name](*np.indices((shape[0] + 2 * guard, shape[1] + 2 * guard)))
-    spec = spec_of(Psf(), float(np.abs(coc).max()))
+    spec = spec_of(Psf(), float(np.abs(coc).max()), cells=cells)
     image, count = layered(spec, np.full((*coc.shape, 1), 0.6), coc, np.ones(coc.shape, bool), shape, guard)
     assert count >= 2
     marked = np.abs(image[..., 0] - unsliced(np.full((*coc.shape, 1), 0.6), coc, shape, guard)[..., 0]) > 0

@@ -135,6 +135,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "no rims": ("rims", {"clsco.optics.resolved_view.elliptic_spread": changed(rims=lambda _: ())}),
     "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
     "red and blue exchanged": ("still", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
+    "four cells of the lens for one": ("layered", {"clsco.plan.plan.lens_cells": always(2)}),
     "depth layers taken for one": ("layered", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
 }  # fmt: skip
 

@@ -137,10 +137,10 @@ def _blocks(lit: _LitSources) -> Iterator[_LitSources]:
 
 
 def _tap_shares(
-    spec: BlurSpec, lit: _LitSources, shape: Shape
+    spec: BlurSpec, lit: _LitSources, shape: Shape, quadrant: Shape | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
     """For blocks of sources and every offset: numbers of sources and of the frame pixels that they reach, and fractions
-    of their pixels' radiance. Pixels outside of the frame are left out.
+    of their pixels' radiance. Pixels outside of the frame are left out. quadrant: as for `scatter`.
     """
     psf, equal = spec.psf, not (spec.psf.signed or lit.points or lit.shape is not None)
     for block in _blocks(lit):
@@ -161,8 +161,17 @@ def _tap_shares(
                 share = share * tilt_factor(
                     *within_rim(psf, dx - block.x, dy - block.y, block.radius), block.slope, block.limb
                 )
+            if quadrant is not None:
+                share = share * _quadrant_share(quadrant, dx, dy, block.radius)
             reached = inside & (share != 0.0)
             yield block.number[reached], (y * shape[1] + x)[reached], share[reached] * lit.part
+
+
+def _quadrant_share(quadrant: Shape, dx: int, dy: int, radius: Array) -> Array:
+    """Share of light for taps (dx, dy) px from sources that goes through a quadrant of the lens."""
+    side = np.where(radius < 0.0, -1.0, 1.0)
+    across, down = np.sign(dx) * quadrant[0] * side, np.sign(dy) * quadrant[1] * side
+    return np.asarray(0.25 * (1.0 + across) * (1.0 + down))
 
 
 def _weights(psf: PointSpread, block: _LitSources, dx: int, dy: int) -> Array:
@@ -223,18 +232,24 @@ def renormalize(
     return sources, replace(sub, radiance=sub.radiance * scale[..., None])
 
 
-def scatter(spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int) -> Array:
+def scatter(
+    spec: BlurSpec, sources: Sources, sub: SubpixelSources | None, shape: Shape, guard: int,
+    quadrant: Shape | None = None,
+) -> Array:  # fmt: skip
     """Defocused image (m, n, C): the sum over all sources of radiance x PSF x tilt.
 
     sources: on the padded grid (m + 2 guard, n + 2 guard); sub: sub-pixel sources, which replace the pixel's own
-    source, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`.
+    source, or None; shape: (m, n) of the frame; guard: px. For border = "renormalize" see `renormalize`. quadrant: of
+    the lens, whose light alone is added, by the signs of its x and y in the image of a positive radius; None for all.
+    A pixel in the row or column of its source gets light through both sides.
     """
     m, n = shape
     if spec.border == "renormalize":
         sources, sub = renormalize(spec, sources, sub, shape, guard)
     color = np.zeros((m * n, sources.radiance.shape[2]))
     radiance = sources.radiance.reshape(-1, color.shape[1])
-    for source, target, share in _tap_shares(spec, _pixels(spec, sources, _whole_sources(sources, sub), guard), shape):
+    lit = _pixels(spec, sources, _whole_sources(sources, sub), guard)
+    for source, target, share in _tap_shares(spec, lit, shape, quadrant):
         color[target] += share[:, None] * radiance[source]  # for a single offset, no target occurs twice
     if sub is not None:
         radiance = sub.radiance[sub.hit]

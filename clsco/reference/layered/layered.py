@@ -30,6 +30,8 @@ LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of i
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
 SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
+FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
+QUADRANTS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y on the lens
 OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
 
 
@@ -222,7 +224,7 @@ def take_sheet(
     radiance: not yet multiplied by alpha (H, W); edges, parts: from `find_edges` and `unmix`. The layer covers its own
     pixels, its share of mixed pixels, and behind nearer layers what its outline on both sides suggests; farther layers
     it leaves free. Its radiance and radius elsewhere are extrapolated. Where the pixel in front of it has nearly the
-    same radius, the surface is the pixel's.
+    same radius, the surface is the pixel's, except in mixed pixels, which show what is farther, too.
     """
     (near, far), (near_light, far_light, near_share) = edges, parts
     own, shared = layer == which, near == which
@@ -235,7 +237,8 @@ def take_sheet(
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
     light = np.where(visible[..., None], light, spread[..., :-1])
     radius = np.where(own, coc, spread[..., -1])
-    same = hidden & (np.abs(radius - coc) <= SAME)
+    whole = (near != layer) & (alpha >= OPAQUE)
+    same = hidden & whole & (np.abs(radius - coc) <= SAME)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
     coverage = np.where(same, alpha, coverage)[..., None]
     return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
@@ -250,6 +253,23 @@ def composite(total: Array, room: Array, blurred: Array) -> tuple[Array, Array]:
     reached = blurred[..., -1:] > 0
     mean = np.where(reached, blurred[..., :-1] / np.where(reached, blurred[..., -1:], 1.0), 0.0)
     return total + room[..., None] * mean[..., :-1], room * (1.0 - np.minimum(mean[..., -1], 1.0))
+
+
+def composite_quadrants(total: Array, room: Array, blurred: Array, radius: Array) -> tuple[Array, Array]:
+    """`composite` for each quadrant of the lens, so that what hides one side of it leaves the other side free.
+
+    total: (m, n, C + 1), with the light of C = 1 last; room: (m, n, 4), of each quadrant; blurred: (4, m, n, C + 2), of
+    its light; radius: (m, n) px of the sheet. A small disc has too few taps for quadrants.
+    """
+    joined = (np.pi * radius**2 < 4.0 * FEWEST_TAPS)[..., None]
+    own = np.moveaxis(blurred[..., -1], 0, -1)
+    ones, covered = own.sum(axis=-1, keepdims=True), blurred[..., -2].sum(axis=0)[..., None]
+    reached = ones > 0.0
+    whole, shares = np.where(reached, ones, 1.0), np.where(own > 0.0, own, 1.0)
+    free = np.where(joined, (room * own).sum(axis=-1, keepdims=True) / whole, room) / whole
+    share = np.where(joined | (own <= 0.0), covered / whole, np.moveaxis(blurred[..., -2], 0, -1) / shares)
+    light = np.einsum("mnq,qmnc->mnc", free, blurred[..., :-1])
+    return total + np.where(reached, light, 0.0), np.where(reached, room * (1.0 - np.minimum(share, 1.0)), room)
 
 
 def layered(
@@ -315,11 +335,11 @@ def spread_depth_layers(
 
 def _blurred(
     spec: BlurSpec, value: Array, radius: Array, there: Mask, shape: tuple[int, int], guard: int,
-    behind_rims: Callable[[Sources], Sources],
+    behind_rims: Callable[[Sources], Sources], quadrant: tuple[int, int] | None = None,
 ) -> Array:  # fmt: skip
     label, gradient = there.astype(np.uint8), prepare_sources(radius, there)
     sources = Sources(value, np.ones(radius.shape), label, radius, gradient, there)
-    return scatter(spec, behind_rims(sources), None, shape, guard)
+    return scatter(spec, behind_rims(sources), None, shape, guard, quadrant)
 
 
 def _lay(
@@ -336,10 +356,21 @@ def _lay(
         near, far, _ = find_edges(coc, layer)
         near, far = np.where(clear > 0, near, 0).astype(np.uint8), np.where(clear > 0, far, 0).astype(np.uint8)
         splits.append(((near, far), unmix(radiance, clear, near, far)))
-    total = np.zeros((*shape, images[0][0].shape[2]))
+    quadrants = QUADRANTS if spec.cells > 1 else ()
+    total = np.zeros((*shape, images[0][0].shape[2] + (spec.cells > 1)))
+    room = np.repeat(room[..., None], len(quadrants), axis=-1) if quadrants else room
     for which in range(1, max(int(layer.max()) for *_, layer in images) + 1):
         for (radiance, alpha, coc, layer), (edges, parts) in zip(images, splits, strict=True):
             sheet, radius = take_sheet(radiance, alpha, coc, layer, edges, parts, which, levels)
-            there = np.ones(coc.shape, np.bool_)
-            total, room = composite(total, room, _blurred(spec, sheet, radius, there, shape, guard, behind_rims))
-    return total, room
+            pixels = sheet, radius, np.ones(coc.shape, np.bool_), shape, guard, behind_rims
+            if quadrants:
+                blurred = np.stack([_blurred(spec, *pixels, quadrant) for quadrant in quadrants])
+                inside = radius[guard : guard + shape[0], guard : guard + shape[1]]
+                total, room = composite_quadrants(total, room, blurred, inside)
+            else:
+                total, room = composite(total, room, _blurred(spec, *pixels))
+    if not quadrants:
+        return total, room
+    seen, left = total[..., -1:], room.mean(axis=-1, keepdims=True)
+    scale = np.where(seen > 0.0, 1.0 / np.where(seen > 0.0, seen + left, 1.0), 0.0)
+    return total[..., :-1] * scale, 1.0 - seen[..., 0] * scale[..., 0]

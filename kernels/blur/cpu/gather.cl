@@ -29,7 +29,7 @@
 // Adds rows -up..down of one source with all channels, `planes` apart, to `out`, the address of its first tap in its
 // own row. visibility: its occluders, 0 for none; light: radiance of each channel.
 INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int down, const float *light, float4 source,
-                     __global float *out, int planes, int pitch) {
+                     __global float *out, int planes, int pitch QUADRANT_ARGUMENTS) {
 #if ELLIPSES
     const opening_t opening = s.opening;
     const float around = opening.size + chord_margin(opening), over = 1 / opening.shape.x;
@@ -37,6 +37,11 @@ INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int dow
     for (int dy = -up; dy <= down; ++dy) {
         const float y = dy - s.oy;
         int from = 0, to = s.lanes;
+#if QUADRANTS
+        const float half_share = HALF_SHARE(side, dy);
+        if (half_share == 0)
+            continue;
+#endif
 #if ELLIPSES
         const float outer = opening.shape.x * around * around - y * y;
         if (outer <= 0)
@@ -53,8 +58,19 @@ INLINE void add_rows(spread_t s, const visibility_t *visibility, int up, int dow
                 w *= free_taps(visibility, s, b - s.half_width, dy);
 #endif
             const float8 tilt = tilts(s, source, x, y);
+#if QUADRANTS
+            const float8 aside = LANE_OFFSETS + (b - s.half_width + 0.5f);
+            const float8 part = MIN(MAX(aside, (float8)0), (float8)1);
+            w *= half_share;
+            for (int k = 0; k < CHANNELS; ++k) {
+                const float8 all = w * (tilt * light[k]), own = all * part;
+                ADD_TAPS(out + (on_right * CHANNELS + k) * planes + dy * pitch + b, own);
+                ADD_TAPS(out + (on_left * CHANNELS + k) * planes + dy * pitch + b, all - own);
+            }
+#else
             for (int k = 0; k < CHANNELS; ++k)
                 ADD_TAPS(out + k * planes + dy * pitch + b, w * (tilt * light[k]));
+#endif
         }
     }
 }
@@ -88,7 +104,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                                int end, int walked, int2 budget, int part_rows, __global float *part, int apart,
                                int shift, __global scratch_t *ends,
                                int pitch, int pad, __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS
-                               OF_ELLIPSES) {
+                               OF_ELLIPSES QUADRANT_ARGUMENTS) {
     const bool cut = budget.x > 0;
     const int plane = grid.width * grid.height, total_plane = grid.rows * pitch;
     const int from = MAX(first - psf.reach, -grid.above), to = MIN(end + psf.reach, grid.height - grid.above);
@@ -145,7 +161,7 @@ static NOINLINE int add_others(const grid_t grid, const psf_t psf, __global cons
                 continue;
             }
 #endif
-            add_rows(s.spread, visibility, up, down, light, s.record, out, apart, pitch);
+            add_rows(s.spread, visibility, up, down, light, s.record, out, apart, pitch QUADRANT_VALUES);
         }
     }
     }
@@ -175,7 +191,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
                      const int start, const int2 budget, __global int *position,
                      const int part_rows, __global float *part, __global scratch_t *ends,
                      const int pitch, const int pad,
-                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES) {
+                     __global float *total SUBPIXEL_ARGUMENTS OCCLUSION_ARGUMENTS OF_ELLIPSES QUADRANT_ARGUMENTS) {
     const int own = get_global_id(0), first = (start + own) * BAND;
     if (first >= grid.rows)
         return;
@@ -190,7 +206,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
         const int until = cut ? MIN(at_first + budget.x, steps) : steps;
         const bool others = add_columns(grid, psf, source, value, intervals, taps, outlines, first, end,
                                         at_first * COLUMN_STEP, until * COLUMN_STEP, scratch + own * scratch_size,
-                                        pitch, pad, total OCCLUSION_VALUES ELLIPSE_VALUES);
+                                        pitch, pad, total OCCLUSION_VALUES ELLIPSE_VALUES QUADRANT_VALUES);
         if (cut)
             position[own] = others || (before & OTHERS) ? until | OTHERS : until < steps ? until : DONE;
         if (cut || !others)
@@ -203,7 +219,7 @@ __kernel void gather(const grid_t grid, const psf_t psf, __global const float *s
     const int walked = add_others(grid, psf, source, value, intervals, coefficients, outlines, first, end,
                                   at_first - steps, budget, part_rows, part, apart, shift,
                                   ends + (long)own * BAND * (grid.columns + 1) * END_PLANES,
-                                  pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES ELLIPSE_VALUES);
+                                  pitch, pad, total SUBPIXEL_VALUES OCCLUSION_VALUES ELLIPSE_VALUES QUADRANT_VALUES);
     if (cut)
         position[own] = walked == DONE ? DONE : steps + walked;
 }
