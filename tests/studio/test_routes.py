@@ -52,15 +52,6 @@ def client(tmp_path: Path) -> Client:
     return Client(Starlette(routes=Addresses(jobs, StateFolder(tmp_path), {"t": session}.get).routes()))
 
 
-def test_a_link_by_address(client: Client, tmp_path: Path) -> None:
-    other = Document(tmp_path)
-    other.patch("object.0.distance", 321.0)
-    assert client.post("/share?tab=t", content=other.share()).json() == {}
-    for content in ("#s=***", "", "\N{BULLET}".encode(), b"A" * 2**22):
-        assert client.post("/share?tab=t", content=content).status_code == 400
-    assert client.post("/share?tab=x", content=other.share()).status_code == 404
-
-
 def test_results_are_those_of_jobs_alone(client: Client) -> None:
     answer = client.get("/result", params={"job": 1, "name": "frame_0000.png"})
     assert answer.status_code == 200

@@ -11,8 +11,8 @@ const STEPS = [ // a part of the page, and words
   ["#stage", "Click an object: it is outlined, its handles move it, the one above along z. The wheel zooms, a double click fits."],
   ["#side", "The inspector: why it is soft at the pixel under the pointer. Its blur radius, how its light spreads, and the lens."],
   ["#panels-scroll", "The panels of the thesis, in its words, then those in use; chips add more. Input image takes a photo of your own; ↺ sets a default."],
-  ["#comparing", "Pin this frame, or that of the thesis, and wipe or flip between both."],
-  ["#inpaint", "Inpaint: paint over what is to go, and have it filled by several methods."],
+  ["#comparing", "Compare what comes with this frame, or with that of the thesis, by a wipe; Space flips, D shows the difference."],
+  ["#mode", "Inpaint: paint over what is to go, and have it filled by several methods."],
   ["#generate", "Generate writes frames, a clip, a focal stack or a data set, by a command line that can be copied. Share gives an address of this scene."],
 ];
 const GAP = 10; // px between a part and the words about it
