@@ -233,7 +233,7 @@ def choice(
     """A labeled list of options, by value; `missing` has the reasons why some of them cannot be `chosen`."""
     with say("label", class_="box"):
         say("span", label)
-        with say("select", change=lambda option: chosen(str(option))):
+        with say("select", change=lambda option: chosen(str(option)) if str(option) in options else None):
             for option, text in options.items():
                 lacks = missing.get(option, "")
                 shown = f"{text} ({lacks})" if lacks else text
