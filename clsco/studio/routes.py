@@ -130,7 +130,7 @@ def _picture(content: bytes, suffix: str = ".png", **headers: str) -> Response:
 
 def _mask(inpainting: Inpainting) -> JSONResponse:
     rows, columns = inpainting.mask.shape
-    return JSONResponse({"columns": columns, "rows": rows, "runs": inpainting.runs()})
+    return JSONResponse({"columns": columns, "rows": rows, "runs": inpainting.runs(), "name": inpainting.title})
 
 
 def _refused(message: str) -> JSONResponse:

@@ -71,7 +71,7 @@ def test_small_pictures_of_textures(client: Client) -> None:
 
 def test_masks_by_address(client: Client) -> None:
     mask = client.get("/inpainting/mask", params={"tab": "t"}).json()
-    assert mask == {"columns": 1, "rows": 1, "runs": [1]}
+    assert mask == {"columns": 1, "rows": 1, "runs": [1], "name": ""}
     place = "/inpainting/mask?tab=t"
     assert client.post(place, json={"columns": 1, "rows": 1, "runs": [0, 1]}).json()["runs"] == [0, 1]
     assert client.post(place, json={"column": 0, "row": 0, "tolerance": 0.1}).status_code == 200

@@ -233,7 +233,8 @@ const filled = async (method, methods = [...fillings.keys(), method]) => {
 
 // ---- image and mask of the server -------------------------------------------------------------------------------
 const load = async () => {
-  const picture = new Image();
+  const { name } = await (await fetch(address("mask"))).json(), picture = new Image();
+  if (!name) { part("frame").click(); return; } // of this tab
   picture.src = address("picture", `&which=image&at=${Date.now()}`);
   await picture.decode();
   image = picture;
@@ -242,6 +243,8 @@ const load = async () => {
   mask = new Uint8Array(columns * rows);
   [past, future, path, pointer] = [[], [], null, null];
   await masked();
+  part("name").textContent = name;
+  part("pixels").textContent = `${columns} × ${rows} px`;
   const small = part("thumbnail"), scale = Math.max(small.width / columns, small.height / rows);
   small.getContext("2d").drawImage(picture, (small.width - scale * columns) / 2, (small.height - scale * rows) / 2, scale * columns, scale * rows);
   viewport.fit();
@@ -405,8 +408,7 @@ studio.mode = (name) => {
   studio.moded();
   studio.viewport = isOpen() ? viewport : studio.stageView;
   if (!isOpen() || image !== null) studio.viewport.refit();
-  else if (part("opened")) load(); // before the page was loaded again
-  else part("frame").click();
+  else load();
 };
 
 studio.parts.push(() => {

@@ -28,10 +28,10 @@ class Painting:
     def __init__(self, session: Document, tab: str, device: str | None) -> None:
         self._session, self._tab, self._page = session, tab, page()
         self._inpainting = inpainting_of(session, device)
-        self._typed = {"name": self._inpainting.name, "mask": "inpainting/mask.png", "folder": "inpainting"}
+        self._typed = {"mask": "inpainting/mask.png", "folder": "inpainting"}
         self._running: tuple[str, float] | None = None  # method that fills, and when it began
         self._filling: asyncio.Task[None] | None = None
-        self._image, self._bar, self._work = map(PagePart, (self._draw_image, self._draw_bar, self._draw_work))
+        self._bar, self._work = PagePart(self._draw_bar), PagePart(self._draw_work)
         self._cards, self._results = PagePart(self._draw_cards), PagePart(self._draw_results)
 
     def parts(self) -> dict[str, Callable[..., object]]:
@@ -39,7 +39,7 @@ class Painting:
         typed = self._typed
         return {
             "images": lambda: [say("option", value=name) for name in listed(self._session.root, IMAGES)],
-            "removals": self._draw_removals, "image": self._image, "cards": self._cards,
+            "removals": self._draw_removals, "cards": self._cards,
             "work": self._work, "results": self._results, "change image": self._open, "click frame": self._open_frame,
             "input mask": partial(typed.__setitem__, "mask"), "input folder": partial(typed.__setitem__, "folder"),
             "click load": lambda _: self._load_mask(), "click save": lambda _: self._save_mask(),
@@ -55,22 +55,22 @@ class Painting:
 
     def _open(self, name: object, label: str = "") -> None:
         self._inpainting.open(str(name))
-        self._changed("load", label or str(name))
+        self._inpainting.title = label or str(name)
+        self._changed("load")
 
     def _open_removal(self, name: str) -> None:
         self._inpainting.open_removal(name)
-        self._changed("load", REMOVALS[name].title)
+        self._changed("load")
 
     def _load_mask(self) -> None:
         self._inpainting.load_mask(self._typed["mask"])
-        self._changed("replaced", self._typed["name"])
+        self._changed("replaced")
 
-    def _changed(self, call: str, name: str) -> None:
-        """Have the brush load what is another image or mask, which has no results."""
-        self._typed["name"] = name
+    def _changed(self, call: str) -> None:
+        """Have the brush load another image or mask, which has no results."""
         self._brush(call)
-        for part in (self._image, self._cards, self._results):
-            part.refresh()
+        self._cards.refresh()
+        self._results.refresh()
 
     def _save_mask(self) -> None:
         self._inpainting.save_mask(self._typed["mask"])
@@ -104,13 +104,6 @@ class Painting:
     def _draw_removals(self) -> None:
         for name, preset in REMOVALS.items():
             button(preset.title, partial(self._open_removal, name), class_="chip")
-
-    def _draw_image(self) -> None:
-        if self._typed["name"]:
-            rows, columns = self._inpainting.mask.shape
-            with say("div", data_brush="opened"):
-                say("b", self._typed["name"])
-                say("p", f"{columns} × {rows} px")
 
     def _draw_cards(self) -> None:
         for method in FILLERS:

@@ -21,7 +21,6 @@ from clsco.studio.widgets.html import PagePart, button, check_box, choice, comma
 
 KINDS = {"frames": "this scene", "stack": "a focal stack", "set": "a data set"}
 _BOXES = {  # names and labels of the numbers of a kind
-    "frames": {},
     "stack": {"nearest": "Nearest focus distance (mm)", "farthest": "Farthest focus distance (mm)", "steps": "Steps"},
     "set": {"count": "Samples", "seed": "Seed"},
 }
@@ -37,7 +36,7 @@ class GenerateForm:
         self._chosen = {generate.PICTURE: True}
         self._answers: dict[str, Any] = {
             "kind": "frames", "folder": generate.free_folder(session), "subframes": False, "preset": "",
-            "nearest": "200", "farthest": "400", "steps": "9", "distribution": generate.distributions(session.root)[0],
+            "nearest": "200", "farthest": "400", "steps": "9", "distribution": "",
             "count": "100", "seed": "0", "form": generate.first_format(),
         }  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
@@ -96,9 +95,10 @@ class GenerateForm:
     def _draw_kind(self) -> None:
         if self._is_set:
             names = dict.fromkeys(generate.distributions(self._session.root), "")
+            self._answers["distribution"] = self._answers["distribution"] or next(iter(names))
             self._list("distribution", "Distribution file", names)
             self._list("form", "Format", generate.set_formats())
-        for name, label in _BOXES[self._answers["kind"]].items():
+        for name, label in _BOXES.get(self._answers["kind"], {}).items():
             self._box(name, label)
         if self._is_set:
             return
@@ -136,17 +136,12 @@ class GenerateForm:
         self.opened()
 
     def _draw_line(self) -> None:
-        session = self._session
-        try:
-            if self._is_set:
-                arguments = generate.set_command(session, *self._of_set())
-            else:
-                arguments = generate.render_command(session, *self._of_frames())
-        except ClscoError as error:
-            say("p", str(error), class_="wrong")
-            return
-        command_row(shlex.join(["clsco", *arguments]))
-        say("p", f"in {session.root.name}, where Generate first writes the {'file' if self._is_set else 'scene'}")
+        with suppress(ClscoError):  # which the button shows
+            of_set, of_frames = generate.set_command, generate.render_command
+            session = self._session
+            words = of_set(session, *self._of_set()) if self._is_set else of_frames(session, *self._of_frames())
+            command_row(shlex.join(["clsco", *words]))
+            say("small", f"in {session.root.name}, where Generate first writes the file that it reads")
 
     def _total(self) -> tuple[str, int, str]:
         """Amount that the button makes, number of frames that take time, and size of a frame and of all files."""
@@ -234,12 +229,10 @@ def _progress(_: Jobs, job: CommandJob) -> None:
 def _picture(jobs: Jobs, job: CommandJob) -> None:
     """Draw the latest frame, or the first sample."""
     frames = [path for path in jobs.results(job) if re.fullmatch(r"frame_\d+(_left|_right)?\.png", path.name)]
+    address = _address(jobs, job, frames[-1]) if frames else ""
     if job.command == "dataset" and job.status == "done":
-        say("img", src=f"sample?job={job.number}&at={job.began:.0f}", alt="First sample")
-    elif frames:
-        say("img", src=_address(jobs, job, frames[-1]), alt=frames[-1].stem)
-    else:
-        say("span")
+        address = f"sample?job={job.number}&at={job.began:.0f}"
+    say("img" if address else "span", src=address or None, alt="" if address else None)
 
 
 def _address(jobs: Jobs, job: CommandJob, path: Path) -> str:
