@@ -68,7 +68,7 @@ def recipe_options(recipes: Collection[Recipe]) -> list[str]:
 
 
 def frame_bytes(scene: Scene, recipes: Collection[Recipe]) -> int:
-    """Bytes of the arrays in the files of a frame, before compression; scene: one with a resolution."""
+    """Bytes of the arrays of a frame in color, before compression; scene: one with a resolution."""
     (columns, rows), size = scene.camera.frame_size, 3 if PICTURE in recipes else 0
     impossible = {group for group, can, _ in POSSIBLE if not can(scene)}
     for name in _formats(recipes):
@@ -156,13 +156,11 @@ def make_data_set(
     return jobs.add(f"Data set of {count}", set_command(session, source, name, count, options), name)
 
 
-def set_command(
-    session: Document, distribution: str, folder: str, count: int, options: Sequence[str] = ()
-) -> list[str]:  # fmt: skip
+def set_command(session: Document, source: str, folder: str, count: int, options: Sequence[str] = ()) -> list[str]:
     """Arguments of `clsco` for `make_data_set`. Raises SceneError."""
     shard = min(LARGEST_SHARD, -(-count // STEPS))
     size = ["--count", str(count), "--shard-size", str(shard)]
-    names = [_name(session, distribution), "-o", _name(session, folder)]
+    names = [_name(session, source), "-o", _name(session, folder)]
     return ["dataset", "make", *names, *size, *options, "--resume", "--quiet"]
 
 

@@ -34,16 +34,13 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
     """Create the page of the tab `name` at the URL `address`; returns the page and its HTML."""
     tab = studio.tabs[name]
     page, session = Page(address, tab.told.set), tab.session
+    identity = f'data-tab="{name}" data-page="{page.key}" data-proof="{studio.proof_key}"'
     with page.current():
-        sheet, painting = (
-            GenerateForm(session, studio.jobs, studio.device or ""),
-            Painting(session, name, studio.device),
-        )
+        sheet = GenerateForm(session, studio.jobs, studio.device or "")
+        painting = Painting(session, name, studio.device)
     generate = {"id": "generate", "class_": "primary", "title": "Ctrl Enter", "data_toggle": "making"}
     parts: dict[str, Callable[..., object]] = {
-        "identity": lambda: page.out.append(
-            f'data-tab="{name}" data-page="{page.key}" data-proof="{studio.proof_key}"'
-        ),
+        "identity": lambda: page.out.append(identity),
         "menu": partial(_menu, session, studio),
         "generate": lambda: button("Generate", sheet.opened, aria_expanded="false", **generate),
         "sheet": sheet.draw,
