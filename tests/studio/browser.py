@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from clsco.scene.model import Scene
 from clsco.scene.sweep import parse_sweep
 from clsco.studio.store import from_link
 from tests.studio.running import Running
@@ -178,7 +177,7 @@ def open_scene(page: Any, name: str) -> None:
     rest(page)
 
 
-def scene_of(page: Any) -> Scene:
+def scene_of(page: Any) -> Any:
     """The scene of a page, as it is told to the browser in case that the studio ends."""
     link = page.evaluate("""() => new Promise((done) => {
       studio.hearing.push((said) => { if (said.kept) done(said.kept.scene); });
