@@ -179,13 +179,9 @@ def open_scene(page: Any, name: str) -> None:
 
 def scene_of(page: Any) -> Any:
     """The scene of a page, as it is told to the browser in case that the studio ends."""
-    link = page.evaluate("""() => new Promise((done) => {
-      studio.hearing.push((said) => { if (said.kept) done(said.kept.scene); });
-      studio.flush();
-      studio.send({ do: "keep" });
-    })""")
-    (scene,) = parse_sweep(from_link(link, (Path(),))[0]).scenes
-    return scene
+    link = page.evaluate("""() => new Promise((done) => { studio.flush(); studio.send({ do: "keep" });
+      studio.hearing.push((said) => { if (said.kept) done(said.kept.scene); }); })""")
+    return parse_sweep(from_link(link, (Path(),))[0]).scenes[0]
 
 
 def axe_faults(page: Any) -> list[tuple[str, str]]:

@@ -38,16 +38,13 @@ def test_an_image_is_chosen_and_shown_small(page: Any, root: Path) -> None:
 
 
 def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None:
-    stage = page.locator("#stage").bounding_box()
     page.get_by_role("radio", name="Inpaint").click()
     page.locator("[data-brush=told]", has_text="0 of 262144 px").wait_for()
-    assert page.locator("#painting").bounding_box()["height"] == stage["height"]
     page.locator("#paint [data-upload]").set_input_files(str(EXAMPLES / "damaged.png"))
     page.locator("#paint", has_text="300 × 300 px").wait_for()
     page.get_by_label("File of the mask (PNG)").fill("damaged_mask.png")
     page.get_by_role("button", name="Load the mask").click()
     page.locator("[data-brush=told]", has_text="of 90000 px are painted over").wait_for()
-    page.wait_for_timeout(500)
     count = missing(page)
     drawn(page, (-40, -40), (20, -20))
     assert missing(page) > count + 100
@@ -142,9 +139,8 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any) -> None:
     sheet.get_by_text("All 11 formats").click()
     sheet.get_by_label("Render").select_option("a data set")
     files = sheet.get_by_label("Distribution file")
-    files.wait_for()
-    assert "sets/stereo.toml" in files.locator("option").all_inner_texts()
     files.select_option("mine.toml")
+    assert "sets/stereo.toml" in files.locator("option").all_inner_texts()
     sheet.get_by_label("Samples", exact=True).fill("0")
     sheet.locator(".primary").click()
     page.locator("#message", has_text="samples: must be an integer from 1 on; got '0'").wait_for()

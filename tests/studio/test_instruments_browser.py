@@ -145,8 +145,7 @@ def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
     line = np.flatnonzero((seen(page)[-60:-10] == (255, 180, 84)).all(axis=(0, 2)))
     assert line.mean() + 0.5 == pytest.approx(middle, abs=1.5)
     page.keyboard.press("d")
-    largest = np.abs(pixels(page) - before).max()
-    page.locator("#then", has_text=f"difference × 8: at most {largest} of 255").wait_for()
+    page.locator("#then", has_text=f"difference × 8: at most {np.abs(pixels(page) - before).max()} of 255").wait_for()
     page.keyboard.press("p")
     page.locator("#pinned").wait_for(state="hidden")
 
