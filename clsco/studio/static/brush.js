@@ -79,7 +79,7 @@ const send = (content) => {
       const answer = await fetch(address("mask"), { method: "POST", body: JSON.stringify(content) });
       const found = await answer.json();
       if (found.error) say(found.error);
-      else if (content.runs === undefined) fromRuns(found.runs);
+      else if (content.runs === undefined) { fromRuns(found.runs); clear(); }
     } catch (error) { say(`mask: ${problem(error)}`); }
   });
 };
@@ -195,9 +195,9 @@ const draw = () => { frame ||= requestAnimationFrame(drawn); };
 const viewport = new Viewport(() => part("canvas"), () => [columns, rows], draw);
 
 // ---- fillings: each has a card with the same part of the picture ------------------------------------------------
-const clear = () => { // they are of another mask
+const clear = (isStale = true) => { // they are of another mask; isStale: the cards show them still
   fillings.clear();
-  for (const card of all("[data-card]")) card.toggleAttribute("data-stale", true);
+  for (const card of all("[data-card]")) card.toggleAttribute("data-stale", isStale);
   deal();
   draw();
 };
@@ -254,7 +254,7 @@ const masked = async () => {
   const { error, runs } = await (await fetch(address("mask"))).json();
   if (error) { say(error); return; }
   fromRuns(runs);
-  clear();
+  clear(false);
 };
 
 // The frame that is shown, as an image of the studio's folder; gives its name.
