@@ -45,6 +45,7 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
         "generate": lambda: button("Generate", sheet.opened, aria_expanded="false", **generate),
         "sheet": sheet.draw,
         "cost": sheet.cost,
+        "click make": sheet.begin,
         "stops": _stops,
         "views": _views,
         "sweep": partial(draw_sweep, session),

@@ -42,9 +42,11 @@ const predicted = () => { // what Generate is about to take
   for (const place of all("[data-took]")) {
     const seconds = took * Number(place.dataset.took);
     place.textContent = seconds ? `, about ${time(seconds)}` : "";
+    reword(one("#making .primary"), `Generate ${place.dataset.amount}`);
   }
 };
 
+studio.parts.push(predicted);
 let spoken = 0;
 const speak = () => { // how far jobs are, not too often
   if (performance.now() - spoken < PACE) return;

@@ -17,7 +17,7 @@ from clsco.scene.formatting import format_bytes, format_seconds
 from clsco.studio import generate
 from clsco.studio.jobs import CommandJob, Jobs
 from clsco.studio.session import Document
-from clsco.studio.widgets.html import PagePart, button, check_box, choice, command_row, icon_button, page, say, text_box
+from clsco.studio.widgets.html import PagePart, check_box, choice, command_row, icon_button, page, say, text_box
 
 KINDS = {"frames": "this scene", "stack": "a focal stack", "set": "a data set"}
 _BOXES = {  # names and labels of the numbers of a kind
@@ -27,7 +27,7 @@ _BOXES = {  # names and labels of the numbers of a kind
 
 
 class GenerateForm:
-    """The form of Generate; cost: its button, which stays in view, and what it costs."""
+    """The form of Generate; cost: what its button makes, and the cost of that."""
 
     def __init__(self, session: Document, jobs: Jobs, device: str = "") -> None:
         self._session, self._jobs = session, jobs
@@ -67,7 +67,7 @@ class GenerateForm:
                     say("b", recipe.title)
                     say("small", lacks or recipe.about)
         with say("details", class_="fold"):
-            say("summary", f"All {len(missing)} formats, clips, focal stacks, data sets")
+            say("summary", f"All {len(missing)} formats, clips, stacks, sets")
             choice("Render", KINDS, "frames", self._turn, {})
             self._kind()
         with say("details", class_="fold"):
@@ -124,7 +124,7 @@ class GenerateForm:
         clip = ["--video", self._answers["preset"]] if self._answers["preset"] else []
         return self._answers["folder"], options + clip + self._device
 
-    def _begin(self) -> None:
+    def begin(self, _: object) -> None:
         session, jobs, answers, table = self._session, self._jobs, self._answers, None
         if self._is_set:
             generate.make_data_set(session, jobs, *self._of_set())
@@ -158,10 +158,9 @@ class GenerateForm:
 
     def _draw_cost(self) -> None:
         amount, count, size = self._total()
-        button(f"Generate {amount}", self._begin, class_="primary")
         with say("span", class_="quiet"):
             say("span", size)
-            say("span", data_took=count)
+            say("span", data_took=count, data_amount=amount)
 
 
 def draw_jobs(jobs: Jobs) -> None:
