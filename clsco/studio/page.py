@@ -38,11 +38,9 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
     with page.current():
         sheet = GenerateForm(session, studio.jobs, studio.device or "")
         painting = Painting(session, name, studio.device)
-    generate = {"id": "generate", "class_": "primary", "title": "Ctrl Enter", "data_toggle": "making"}
     parts: dict[str, Callable[..., object]] = {
         "identity": lambda: page.out.append(identity),
         "menu": partial(_menu, session, studio),
-        "generate": lambda: button("Generate", sheet.opened, aria_expanded="false", **generate),
         "sheet": sheet.draw,
         "cost": sheet.cost,
         "click make": sheet.begin,

@@ -31,24 +31,26 @@ class GenerateForm:
 
     def __init__(self, session: Document, jobs: Jobs, device: str = "") -> None:
         self._session, self._jobs = session, jobs
-        self._is_set = False
+        self._is_set, self._free = False, generate.free_folder(session)
         self._device = ["--device", device] if device else []
         self._chosen = {generate.PICTURE: True}
         self._answers: dict[str, Any] = {
-            "kind": "frames", "folder": generate.free_folder(session), "subframes": False, "preset": "",
-            "nearest": "200", "farthest": "400", "steps": "9", "distribution": "",
-            "count": "100", "seed": "0", "form": generate.first_format(),
+            "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "nearest": "200",
+            "farthest": "400", "steps": "9", "distribution": "", "count": "100", "seed": "0", "form": generate.first_format(),
         }  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
         self._kind, self._line = PagePart(self._draw_kind), PagePart(self._draw_line)
         self.cost = PagePart(self._draw_cost, self._total)
-        page().endings.append(session.subscribe(self.cost.changed))
+        page().endings.append(session.subscribe(self._renew))
 
-    def opened(self) -> None:
-        """Choose an output folder that is not in use."""
-        self._answers["folder"] = generate.free_folder(self._session, "sets" if self._is_set else "frames")
-        self._folder.refresh()
-        self._line.refresh()
+    def _renew(self) -> None:
+        """Choose an output folder that is not in use if the scene has another name, and update the cost."""
+        free = generate.free_folder(self._session, "sets" if self._is_set else "frames")
+        if free != self._free:
+            self._free = self._answers["folder"] = free
+            self._folder.refresh()
+            self._line.refresh()
+        self.cost.changed()
 
     @property
     def _recipes(self) -> list[generate.Recipe]:
@@ -83,7 +85,7 @@ class GenerateForm:
         self._is_set = kind == "set"
         self._answer(self._answers, "kind", kind)
         self._kind.refresh()
-        self.opened()
+        self._renew()
 
     def _box(self, name: str, label: str) -> None:
         text_box(label, self._answers[name], partial(self._answer, self._answers, name))
@@ -133,7 +135,7 @@ class GenerateForm:
                 ends = _number(answers["nearest"], "nearest"), _number(answers["farthest"], "farthest")
                 table = generate.stack_table(session, *ends, _whole(answers["steps"], "steps"))
             generate.render_frames(session, jobs, *self._of_frames(), table)
-        self.opened()
+        self._renew()
 
     def _draw_line(self) -> None:
         with suppress(ClscoError):  # which the button shows
