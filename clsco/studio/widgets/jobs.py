@@ -35,8 +35,8 @@ class GenerateForm:
         self._device = ["--device", device] if device else []
         self._chosen = {generate.PICTURE: True}
         self._answers: dict[str, Any] = {
-            "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "nearest": "200",
-            "farthest": "400", "steps": "9", "distribution": "", "count": "100", "seed": "0", "form": generate.first_format(),
+            "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "form": generate.first_format(),
+            "nearest": "200", "farthest": "400", "steps": "9", "distribution": "", "count": "100", "seed": "0",
         }  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
         self._kind, self._line = PagePart(self._draw_kind), PagePart(self._draw_line)
