@@ -83,7 +83,7 @@ class Hand:
     def point(self, x: float, y: float, clicks: int = 1) -> None:
         """Point at a place of the picture, in shares of its width and height, and click."""
         self.clicks += clicks
-        self.page.evaluate("document.querySelector('#studio').classList.remove('open', 'sided')")
+        self.page.evaluate("document.querySelector('#studio').classList.remove('open', 'sided', 'making')")
         box = self.page.locator("#canvas").bounding_box()
         place = box["x"] + x * box["width"], box["y"] + y * box["height"]
         self.page.mouse.move(*place)
@@ -133,17 +133,13 @@ def why_soft(hand: Hand) -> None:
 
 
 def compare_with_thesis(hand: Hand) -> None:
-    hand.choose("#pin", "thesis")
-    hand.until("!document.querySelector('#compare').disabled")
-    hand.choose("#compare", "wipe")
-    hand.until("!document.querySelector('#pin-badge').hidden")
+    hand.click("#comparing")
+    hand.click("[data-compare=thesis]")
+    hand.page.locator("#then", has_text="as the thesis").wait_for(timeout=WAIT)
 
 
 def remove_object(hand: Hand) -> None:
-    hand.click("#inpaint")
-    hand.page.locator("dialog[open]").wait_for()
-    if not hand.page.locator("[data-brush=told]", has_text="pixels are missing").count():
-        hand.press("Take the frame shown", "dialog[open]")
+    hand.click("[data-mode=inpaint]:visible", "[data-part-of=inpaint]:visible")
     hand.page.locator("[data-brush=told]", has_text="of 262144").wait_for(timeout=WAIT)
     hand.click("[data-brush=tool][value=rectangle]")
     place = hand.page.locator("[data-brush=canvas]").bounding_box()
@@ -152,28 +148,29 @@ def remove_object(hand: Hand) -> None:
     hand.page.mouse.down()
     hand.page.mouse.move(place["x"] + 0.5 * place["width"], place["y"] + 0.5 * place["height"], steps=4)
     hand.page.mouse.up()
-    hand.press("Fill", "dialog[open]")
-    hand.page.locator("dialog[open] .beside img").first.wait_for(timeout=WAIT)
+    hand.click("#fills .primary")
+    hand.page.locator("#cards [data-filled]").first.wait_for(timeout=WAIT)
 
 
 def clip(hand: Hand) -> None:
     hand.click("#generate")
+    hand.click("#making summary")
     hand.clicks += 1
     hand.page.get_by_label("Clip beside the frames").select_option("mp4")
-    hand.page.locator("dialog[open] button.primary").click()
-    hand.clicks += 1
+    hand.click("#making button.primary")
     hand.page.locator(".job video").first.wait_for(timeout=WAIT, state="attached")
 
 
 def data_set(hand: Hand) -> None:
     hand.click("#generate")
-    hand.click("dialog[open] summary:has-text('Data set')")
-    dialog = hand.page.locator("dialog[open]")
-    hand.clicks += 1
-    dialog.get_by_label("Distribution file").select_option("set.toml")
+    hand.click("#making summary")
+    sheet = hand.page.locator("#making")
+    hand.clicks += 2
+    sheet.get_by_label("Render").select_option("set")
+    sheet.get_by_label("Distribution file").select_option("set.toml")
     hand.texts += 1
-    dialog.get_by_label("Samples", exact=True).fill("4")
-    hand.press("Make the set", "dialog[open]")
+    sheet.get_by_label("Samples", exact=True).fill("4")
+    hand.click("#making button.primary")
     hand.page.locator(".job.done code", has_text="dataset").first.wait_for(timeout=WAIT, state="attached")
 
 

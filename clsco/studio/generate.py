@@ -1,11 +1,11 @@
-"""Rendering and data sets from the studio: writes scenes into output folders, and runs `clsco` on them."""
+"""Rendering and data sets from the studio: recipes, output folders with their scenes, and the commands of `clsco`."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,7 +13,10 @@ from clsco.data.containers import CONTAINERS, DEFAULT
 from clsco.errors import ClscoError, SceneError
 from clsco.files.atomic import atomic_write_bytes, make_writable_folder
 from clsco.files.video import PRESETS
-from clsco.frame.files import TRUTH_FORMATS
+from clsco.frame.files import TRUTH_FORMATS, needed_truth
+from clsco.frame.outputs import OUTPUTS
+from clsco.frame.truth_files import TruthFile
+from clsco.plan.decisions import POSSIBLE
 from clsco.plan.prepare import prepare_sweep
 from clsco.resources import folder, read_regular
 from clsco.scene.file import absolute, swept_keys
@@ -33,6 +36,49 @@ LARGEST_SHARD = 256  # samples, the default of `clsco dataset make`
 STEPS = 16  # least number of steps in which the progress of a data set is shown
 _LARGEST = 2**20  # bytes of a file that may be a distribution
 _SETS = "sets"  # folder of shipped distributions, and of their copies
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Files for a purpose: formats of `clsco render --format`; () for the image."""
+
+    title: str
+    about: str
+    formats: tuple[str, ...] = ()
+
+
+PICTURE = Recipe("Picture", "PNG: to look at")
+RECIPES = (
+    PICTURE,
+    Recipe("All truth", "NPZ: depth, R, flow, for training", ("npz",)),
+    Recipe("For compositing", "EXR: Blender, Nuke", ("exr",)),
+    Recipe("As KITTI", "PNG codes: depth, flow", ("kitti_depth", "kitti_flow")),
+    Recipe("As Sintel", "FLO: flow; PFM: depth and more", ("flo", "pfm")),
+    Recipe("As COLMAP", "cameras, for 3-D splats", ("colmap",)),
+)
+FORMATS = tuple(Recipe(name, "", (name,)) for name in TRUTH_FORMATS)
+
+
+def recipe_options(recipes: Collection[Recipe]) -> list[str]:
+    """Options of `clsco render` for recipes. Raises ClscoError if there are none."""
+    if not recipes:
+        raise ClscoError("recipes: must be at least one; got none")
+    names = ",".join(_formats(recipes))
+    return (["--format", names] if names else []) + ([] if PICTURE in recipes else ["--no-color"])
+
+
+def frame_bytes(scene: Scene, recipes: Collection[Recipe]) -> int:
+    """Bytes of the arrays of a frame in color, before compression; scene: one with a resolution."""
+    (columns, rows), size = scene.camera.frame_size, 3 if PICTURE in recipes else 0
+    impossible = {group for group, can, _ in POSSIBLE if not can(scene)}
+    for name in _formats(recipes):
+        rows_of = [OUTPUTS[each] for each in needed_truth([TruthFile(name)]) if TRUTH_FORMATS[name].arrays]
+        size += sum((row.components or 3) * row.dtype(0).itemsize for row in rows_of if row.group not in impossible)
+    return size * columns * rows * (1 if scene.stereo is None else 2)
+
+
+def _formats(recipes: Collection[Recipe]) -> list[str]:
+    return [name for name in TRUTH_FORMATS if any(name in recipe.formats for recipe in recipes)]
 
 
 def free_folder(session: Document, kind: str = "frames") -> str:
@@ -62,8 +108,13 @@ def render_frames(
     prepare_sweep(replace(sweep, scenes=scenes))  # raises for too large scenes before anything is written
     target.mkdir(parents=True, exist_ok=True)
     atomic_write_bytes(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
-    title = f"Frames: {table.get('title') or 'scene'}"
-    return jobs.add(title, ["render", f"{name}/scene.toml", "-o", name, *options], name)
+    return jobs.add(str(table.get("title") or "Scene"), render_command(session, name, options), name)
+
+
+def render_command(session: Document, folder: str, options: Sequence[str] = ()) -> list[str]:
+    """Arguments of `clsco` that render the scene in a folder below the root into this folder. Raises SceneError."""
+    name = _name(session, folder)
+    return ["render", f"{name}/scene.toml", "-o", name, *options]
 
 
 def stack_table(session: Document, nearest: float, farthest: float, steps: int) -> Table:
@@ -102,10 +153,15 @@ def make_data_set(
         atomic_write_bytes(make_writable_folder((session.root / source).parent) / shipped.name, shipped.read_bytes())
     if not (session.root / source).is_file():
         raise ClscoError(f"distribution: must be an existing file; got {distribution!r}")
+    return jobs.add(f"Data set of {count}", set_command(session, source, name, count, options), name)
+
+
+def set_command(session: Document, source: str, folder: str, count: int, options: Sequence[str] = ()) -> list[str]:
+    """Arguments of `clsco` for `make_data_set`. Raises SceneError."""
     shard = min(LARGEST_SHARD, -(-count // STEPS))
     size = ["--count", str(count), "--shard-size", str(shard)]
-    arguments = ["dataset", "make", source, "-o", name, *size, *options, "--resume", "--quiet"]
-    return jobs.add(f"Data set of {count}", arguments, name)
+    names = [_name(session, source), "-o", _name(session, folder)]
+    return ["dataset", "make", *names, *size, *options, "--resume", "--quiet"]
 
 
 def _name(session: Document, path: str) -> str:
@@ -161,13 +217,13 @@ def _is_distribution(path: Path) -> bool:
     return bool({"vary", "derive", "accept"} & content.keys())
 
 
-def sample_picture(folder: Path, part: int, parts: int) -> bytes:
-    """A small PNG with the color of a sample: the first one in part number `part` of `parts` equal parts of a set."""
+def sample_picture(folder: Path) -> bytes:
+    """A small PNG with the color of the first sample of a set."""
     from clsco.data import dataset
 
     opened = dataset.open(folder)
     try:
-        record = opened[part * len(opened) // parts]
+        record = opened[0]
         name = next(name for name in record.arrays if name.rpartition(".")[2] == "color")  # of the first frame and view
         return small_png(record.radiance(name))
     finally:

@@ -55,7 +55,7 @@ class Inpainting:
     def __init__(self, root: Path, device: str | None = None) -> None:
         self.root = root.resolve()
         self.filler = FillingProcess(device)
-        self.name = ""
+        self.name = self.title = ""  # of its file; for people
         self.image: NDArray[Any] = np.zeros((1, 1), np.uint8)
         self.color = SRGB
         self.mask = np.zeros((1, 1), np.bool_)
@@ -69,7 +69,8 @@ class Inpainting:
         image = picture.data
         if image.shape[0] * image.shape[1] > LARGEST:
             raise FileError(f"{name}: must have at most {LARGEST} pixels to be filled here; use clsco inpaint")
-        self.name, self.image, self.color = name, image, picture.color
+        self.name = self.title = name
+        self.image, self.color = image, picture.color
         self.mask = np.zeros(image.shape[:2], np.bool_)
         self.results = {}
 
@@ -77,7 +78,7 @@ class Inpainting:
         """Open one of `REMOVALS`, with its mask. Raises SceneError."""
         if name not in REMOVALS:
             raise SceneError(f"preset: must be one of {', '.join(REMOVALS)}; got {name!r}")
-        self.name = f"{name}.png"
+        self.name, self.title = f"{name}.png", REMOVALS[name].title
         self.image, self.mask = REMOVALS[name].make()
         self.color = SRGB
         self.results = {}

@@ -13,9 +13,9 @@ from clsco.studio.server import Studio
 from clsco.studio.session import Document
 from clsco.studio.tables import ON_THE_STRIP
 from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
-from clsco.studio.widgets.html import Page, button, icon, number_box, say, slider
-from clsco.studio.widgets.inpainting import inpainting_dialog
-from clsco.studio.widgets.jobs import draw_jobs, generate_dialog
+from clsco.studio.widgets.html import EVENTS, Page, button, handled, icon, number_box, say, slider
+from clsco.studio.widgets.inpainting import Painting
+from clsco.studio.widgets.jobs import GenerateForm, draw_jobs
 from clsco.studio.widgets.panels import draw_panels, draw_sweep
 
 LABELS = {"sharp": "All in focus", "blur radius": "Blur radius R", "normal": "Normals", "id": "Objects"}
@@ -34,19 +34,22 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
     """Create the page of the tab `name` at the URL `address`; returns the page and its HTML."""
     tab = studio.tabs[name]
     page, session = Page(address, tab.told.set), tab.session
-    generate = {"id": "generate", "class_": "primary", "title": "Ctrl Enter"}
-    parts: dict[str, Callable[[], object]] = {
-        "identity": lambda: page.out.append(
-            f'data-tab="{name}" data-page="{page.key}" data-proof="{studio.proof_key}"'
-        ),
+    identity = f'data-tab="{name}" data-page="{page.key}" data-proof="{studio.proof_key}"'
+    with page.current():
+        sheet = GenerateForm(session, studio.jobs, studio.device or "")
+        painting = Painting(session, name, studio.device)
+    parts: dict[str, Callable[..., object]] = {
+        "identity": lambda: page.out.append(identity),
         "menu": partial(_menu, session, studio),
-        "inpaint": partial(_inpaint, session, name, studio),
-        "generate": lambda: button("Generate", generate_dialog(session, studio.jobs, studio.device or ""), **generate),
+        "sheet": sheet.draw,
+        "cost": sheet.cost,
+        "click make": sheet.begin,
         "stops": _stops,
         "views": _views,
         "sweep": partial(draw_sweep, session),
         "panels": partial(draw_panels, session),
         "jobs": partial(draw_jobs, studio.jobs),
+        **painting.parts(),
     }
     for kind, path in zip(("focus", "stop"), ON_THE_STRIP, strict=True):
         dial = field_at(session, path)
@@ -59,6 +62,8 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
                 page.out.append(text)
             elif text.startswith("icon "):
                 icon(text[5:])
+            elif (event := text.partition(" ")[0]) in EVENTS:
+                page.out.append(handled(event, parts[text]))
             else:
                 parts[text]()
     return page, "".join(page.out)
@@ -74,12 +79,6 @@ def _menu(session: Document, studio: Studio) -> None:
     with say("div", id="menu", popover=True, role="group", aria_label="Scene"):
         for label, choose in entries.items():
             button(label, choose, id="save" if label == "Save" else None)
-
-
-def _inpaint(session: Document, name: str, studio: Studio) -> None:
-    with button("", inpainting_dialog(session, name, studio.device), id="inpaint", title="Inpaint (B)"):
-        icon("wand-sparkles")
-        say("span", "Inpaint")
 
 
 def _stops() -> None:

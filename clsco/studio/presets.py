@@ -143,8 +143,8 @@ def _shipped(name: str) -> Path:
 
 
 REMOVALS = {
-    "red_letters": Removal("Red letters, as in figure 5.16", _letters),
-    "rope": Removal("Rope, as in figure 5.19", _rope),
-    "scratches": Removal("Scratched photograph", _scratches),
+    "red_letters": Removal("Red letters, 5.16", _letters),
+    "rope": Removal("Rope, 5.19", _rope),
+    "scratches": Removal("Scratches", _scratches),
 }
 """Images to inpaint, by name."""

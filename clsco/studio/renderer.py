@@ -394,7 +394,8 @@ class _RenderWorker:
         request, device, files = Request(truth_of(job.view)), self._live.session.device, self._live.files
         prepared = prepare(rendered, request, device, files)
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
-        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
+        took = sum(frame.metadata["seconds"].values()) * len(whole.plans) if rendered is job.scene else None
+        return {"plan": plan_line(prepared, seconds), "took": took} | exposure_of(frame, job.scene, whole.plan.samples)
 
     def _ladders_of(self, job: PictureJob) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())

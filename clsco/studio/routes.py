@@ -12,17 +12,15 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from clsco.errors import ClscoError, FileError, SceneError
+from clsco.errors import ClscoError, FileError
 from clsco.inputs.textures import load_texture
 from clsco.scene.file import FILE_KEYS
-from clsco.scene.toml import toml_text
 from clsco.studio.folder import keep_image
 from clsco.studio.generate import sample_picture
 from clsco.studio.inpainting import Inpainting, inpainting_of
 from clsco.studio.jobs import Jobs
 from clsco.studio.pictures import small_png
 from clsco.studio.session import Document, StateFolder
-from clsco.studio.store import from_link
 
 LARGEST_PICTURE = 2**18  # bytes
 _PICTURE = re.compile(r"(kept|file)_[A-Za-z0-9_-]{1,80}\.jpg")
@@ -38,7 +36,6 @@ class Addresses:
     def routes(self) -> list[Route]:
         """Routes of a Starlette application."""
         return [
-            Route("/scene", self.scene), Route("/share", self.share, methods=["POST"]),
             Route("/texture", self.texture, methods=["POST"]), Route("/thumbnail", self.thumbnail),
             Route("/result", self.result), Route("/sample", self.sample), Route("/scene-picture", self.scene_picture),
             Route("/inpainting/picture", self.picture), Route("/inpainting/mask", self.mask),
@@ -50,22 +47,6 @@ class Addresses:
         if session is None:
             raise HTTPException(404, "no such tab")
         return session
-
-    async def scene(self, request: Request) -> Response:
-        """The scene of a tab, as a file to download."""
-        about = {"content-disposition": 'attachment; filename="scene.toml"', "cache-control": "no-store"}
-        return Response(toml_text(self._session(request).table), media_type="application/toml", headers=about)
-
-    async def share(self, request: Request) -> JSONResponse:
-        """Go to the scene of a link, given by its URL fragment."""
-        content = await request.body()  # before any answer: an unread body resets the connection
-        session = self._session(request)
-        try:
-            text = content.decode("ascii", "replace")
-            session.load_share(await asyncio.to_thread(from_link, text, session.readable))
-        except SceneError as error:
-            return _refused("\n".join(error.messages))
-        return JSONResponse({})
 
     async def texture(self, request: Request) -> JSONResponse:
         """Save a dropped image under a name derived from its content, and return the name."""
@@ -98,11 +79,10 @@ class Addresses:
         return FileResponse(path, media_type=_TYPES[path.suffix], headers={"cache-control": "no-cache"})
 
     def sample(self, request: Request) -> Response:
-        """A small picture of the first sample in one of several equal parts of a data set."""
+        """A small picture of the first sample of a data set."""
         try:
-            job, part, parts = (int(request.query_params[name]) for name in ("job", "part", "parts"))
-            folder = self._jobs.root / self._jobs.job(job).output
-            content = sample_picture(folder, part, parts) if 0 <= part < parts else b""
+            job = self._jobs.job(int(request.query_params["job"]))
+            content = sample_picture(self._jobs.root / job.output)
         except (ClscoError, KeyError, ValueError, IndexError, OSError, StopIteration):
             content = b""
         return _picture(content, **{"cache-control": "private, max-age=86400"})  # a new set has another address
@@ -150,7 +130,7 @@ def _picture(content: bytes, suffix: str = ".png", **headers: str) -> Response:
 
 def _mask(inpainting: Inpainting) -> JSONResponse:
     rows, columns = inpainting.mask.shape
-    return JSONResponse({"columns": columns, "rows": rows, "runs": inpainting.runs()})
+    return JSONResponse({"columns": columns, "rows": rows, "runs": inpainting.runs(), "name": inpainting.title})
 
 
 def _refused(message: str) -> JSONResponse:

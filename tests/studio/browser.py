@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from clsco.scene.sweep import parse_sweep
+from clsco.studio.store import from_link
 from tests.studio.running import Running
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -173,6 +175,13 @@ def open_scene(page: Any, name: str) -> None:
     page.locator("dialog[open]").wait_for(state="hidden")
     page.wait_for_function(f"studio.revision > {before}")
     rest(page)
+
+
+def scene_of(page: Any) -> Any:
+    """The scene of a page, as it is told to the browser in case that the studio ends."""
+    link = page.evaluate("""() => new Promise((done) => { studio.flush(); studio.send({ do: "keep" });
+      studio.hearing.push((said) => { if (said.kept) done(said.kept.scene); }); })""")
+    return parse_sweep(from_link(link, (Path(),))[0]).scenes[0]
 
 
 def axe_faults(page: Any) -> list[tuple[str, str]]:

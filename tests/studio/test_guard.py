@@ -178,8 +178,8 @@ def test_an_upload_that_is_no_plain_image_is_refused(running: Running, tmp_path:
 
 
 PLACES = (
-    "", "/", "/x", "/static/studio.js", "/scene?tab=x", "/texture?tab=x&kind=png", "/share?tab=x", "/frames?tab=x",
-    "/result?job=1&name=x.png", "/thumbnail?tab=x&path=title", "/inpainting/mask?tab=x",
+    "", "/", "/x", "/static/studio.js", "/sample?job=1", "/texture?tab=x&kind=png", "/frames?tab=x",
+    "/scene-picture?name=x.jpg", "/result?job=1&name=x.png", "/thumbnail?tab=x&path=title", "/inpainting/mask?tab=x",
 )  # fmt: skip
 
 
@@ -217,7 +217,7 @@ DOTS = ("..", "%2e%2e", ".%2e", "%252e%252e", "..%2f", "..%5c", "..\\", "....//"
 def test_no_path_leads_out(running: Running) -> None:
     with running.client() as client:
         tab = tab_of(running)
-        others = ("/{}", "/scene?tab={}", "/result?job=1&name={}", f"/thumbnail?tab={tab}&path={{}}")
+        others = ("/{}", "/scene-picture?name={}", "/result?job=1&name={}", f"/thumbnail?tab={tab}&path={{}}")
         places = [("/static/{}", path) for path in OUTSIDE] + [(place, OUTSIDE[-1]) for place in others]
         tries = [place.format(path.replace("..", dots)) for place, path in places for dots in DOTS]
         for path in dict.fromkeys(tries):

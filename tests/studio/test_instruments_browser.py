@@ -13,7 +13,7 @@ import clsco
 from clsco.files.images import read_image
 from clsco.studio.lens import lens_line
 from tests.studio.browser import axe_faults, number, pixels, rest
-from tests.studio.test_canvas_browser import STILL, at, codes
+from tests.studio.test_canvas_browser import STILL, at, codes, seen
 
 pytestmark = pytest.mark.browser
 FILES, OPENS = {"scene.toml": STILL}, "scene.toml"
@@ -88,26 +88,6 @@ def drag(page: Any, begin: tuple[float, float], end: tuple[float, float]) -> Non
     page.mouse.up()
 
 
-def test_the_tour_goes_through_the_page(page: Any) -> None:
-    page.keyboard.press("?")
-    page.get_by_role("button", name="Tour of the studio").click()
-    seen = []
-    for _ in range(20):
-        seen.append(page.locator("#tour-words").inner_text())
-        assert page.locator("[data-toured]").count() == 1
-        page.keyboard.press("Enter")  # the focus is on Next
-        if not page.locator("#tour").is_visible():
-            break
-    assert len(seen) == len(set(seen)) == 10
-    assert 150 < sum(len(text.split()) for text in seen) < 400  # two minutes
-    assert page.locator("[data-toured]").count() == 0
-    page.keyboard.press("?")
-    page.get_by_role("button", name="Tour of the studio").click()
-    assert axe_faults(page) == []
-    page.keyboard.press("Escape")
-    page.locator("#tour").wait_for(state="hidden")
-
-
 def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
     data = codes(clsco.parse_scene(STILL))
     dark, bright = (100 * float(np.mean(data.max(-1) == code)) for code in (0, 255))
@@ -152,15 +132,22 @@ def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
 
 
 def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
-    page.locator("#comparing").click()
-    page.select_option("#pin", "this")
-    page.locator("#wipe").fill("50")
-    found = until_drawn(page, YELLOW, 100)
+    page.keyboard.press("p")
+    page.locator("#then", has_text="pinned").wait_for()
+    before = pixels(page)
+    page.evaluate("studio.set('camera.f_number', 8)")
+    page.locator("#now", has_text="now: f/8").wait_for(timeout=20000)
+    assert page.locator("#then").inner_text().startswith("pinned: f/")
+    rest(page)
+    page.locator("#wipe").fill("25")
     stage, canvas = page.locator("#stage").bounding_box(), page.locator("#canvas").bounding_box()
-    middle = canvas["x"] + canvas["width"] / 2 - stage["x"]
-    columns = [x for x, _ in found]
-    assert min(abs(x - middle) for x in columns) <= 1.5
-    assert columns.count(max(set(columns), key=columns.count)) >= stage["height"] * 0.9
+    middle = canvas["x"] + canvas["width"] / 4 - stage["x"]
+    line = np.flatnonzero((seen(page)[-60:-10] == (255, 180, 84)).all(axis=(0, 2)))
+    assert line.mean() + 0.5 == pytest.approx(middle, abs=1.5)
+    page.keyboard.press("d")
+    page.locator("#then", has_text=f"difference × 8: at most {np.abs(pixels(page) - before).max()} of 255").wait_for()
+    page.keyboard.press("p")
+    page.locator("#pinned").wait_for(state="hidden")
 
 
 @pytest.mark.everyday

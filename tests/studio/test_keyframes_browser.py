@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 
 import clsco
 from clsco.optics.motion import keyframe_at
-from tests.studio.browser import BALL, WALL, axe_faults, box, number, opened, pixels, rest, type_in
+from tests.studio.browser import BALL, WALL, axe_faults, box, number, opened, pixels, rest, scene_of, type_in
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
@@ -66,12 +65,6 @@ def count(page: Any, marks: int) -> None:
     page.wait_for_function(f"document.querySelectorAll('#lanes input').length === {marks}", timeout=20000)
 
 
-def table(page: Any) -> Any:
-    """The scene of the page, as its file has it."""
-    text = page.evaluate("fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())")
-    return clsco.parse_scene(tomllib.loads(text))
-
-
 def valued(page: Any, path: str, value: float) -> None:
     page.wait_for_function(f"Math.abs(studio.values['{path}'] - {value}) < 1e-6", timeout=20000)
 
@@ -87,7 +80,7 @@ def test_a_key_is_added_at_the_time_and_removed(page: Any) -> None:
     count(page, 4)
     page.wait_for_function("document.activeElement.dataset.path === 'object.0.motion.keyframe.0.time'")
     assert page.locator("#keyframes-about").inner_text() == "keyframe 1, t = 0.25 s"
-    assert table(page).objects[0].motion.keyframe == (clsco.Keyframe(time=0.25),)
+    assert scene_of(page).objects[0].motion.keyframe == (clsco.Keyframe(time=0.25),)
     page.locator("#add-key").click()
     page.locator("#message", has_text="keyframe: there must be none at this time; got one at 0.25 s").wait_for()
     page.locator("#undo").click()
@@ -96,20 +89,20 @@ def test_a_key_is_added_at_the_time_and_removed(page: Any) -> None:
     count(page, 4)
     mark(page, "object.0.motion.keyframe.0.time").press("Delete")
     count(page, 3)
-    assert not table(page).objects[0].motion.moves
+    assert not scene_of(page).objects[0].motion.moves
     page.locator("#whole").click()
     page.locator("#time", has_text="frame 1 of 2, t = 0 s").wait_for()
     assert not page.locator("#whole").is_visible()
 
 
 def test_a_key_between_others_is_on_their_path(page: Any) -> None:
-    before = table(page).objects[1].motion
+    before = scene_of(page).objects[1].motion
     lane = page.locator('.lane[data-track="object.1.motion.keyframe"]').bounding_box()
     page.mouse.click(lane["x"] + 7 + 0.7 * (lane["width"] - 14), lane["y"] + 10)
     page.locator("#time", has_text="frame 2 of 2, at t = 0.7 s").wait_for()
     page.locator("#add-key").click()
     count(page, 4)
-    keys = table(page).objects[1].motion.keyframe
+    keys = scene_of(page).objects[1].motion.keyframe
     expected = keyframe_at(before, 0.7, "euler")
     assert keys[2].time == pytest.approx(0.7, abs=0.002)
     assert keys[2].position == pytest.approx(expected.position, abs=0.05)
@@ -126,7 +119,7 @@ def test_a_mark_is_dragged_as_one_step_of_undo(page: Any) -> None:
     page.mouse.move(place["x"] + 7 + 0.8 * wide, middle, steps=12)
     page.mouse.up()
     page.wait_for_function(f"Math.abs(studio.values['{KEY}'] - 0.8) < 0.01", timeout=20000)
-    assert table(page).objects[1].motion.keyframe[1].time == pytest.approx(0.8, abs=0.01)
+    assert scene_of(page).objects[1].motion.keyframe[1].time == pytest.approx(0.8, abs=0.01)
     page.locator("#undo").click()
     valued(page, KEY, 0.4)
     assert not page.locator("#undo").is_enabled()
@@ -154,7 +147,7 @@ def test_a_time_that_cannot_be_is_refused_beside_its_mark(page: Any) -> None:
     page.evaluate(f"studio.set('{KEY}', 1.0)")
     page.locator("#keyframes-about[data-wrong]", has_text="must be later than that of the keyframe before").wait_for()
     assert mark(page, KEY).get_attribute("aria-invalid") == "true"
-    assert table(page).objects[1].motion.keyframe[1].time == 0.4
+    assert scene_of(page).objects[1].motion.keyframe[1].time == 0.4
     page.evaluate(f"studio.set('{KEY}', 0.5)")
     valued(page, KEY, 0.5)
     page.locator("#keyframes-about:not([data-wrong])", has_text="keyframe 2, t = 0.5 s").wait_for()
@@ -174,7 +167,7 @@ def test_the_focus_is_pulled_by_keys_of_the_lens(page: Any) -> None:
     path = "lens.keyframe.1.focus_distance"
     box(page, path).wait_for(timeout=20000)
     type_in(page, path, "320")
-    assert [key.focus_distance for key in table(page).lens.keyframe] == [pytest.approx(250.0, abs=0.1), 320.0]
+    assert [key.focus_distance for key in scene_of(page).lens.keyframe] == [pytest.approx(250.0, abs=0.1), 320.0]
     rest(page)
 
 
@@ -184,7 +177,7 @@ def test_views_of_a_sensor(page: Any, view: str) -> None:
     page.get_by_role("tab", name=view.capitalize(), exact=True).click()
     page.wait_for_function(f"studio.view === '{view}' && studio.rung === 2", timeout=60000)
     shown = pixels(page) @ [0.299, 0.587, 0.114]
-    frame = clsco.render_frame(table(page), truth=("raw", "noise_sigma"))
+    frame = clsco.render_frame(scene_of(page), truth=("raw", "noise_sigma"))
     plane = frame.arrays()["raw" if view == "raw" else "noise_sigma"].astype(float)
     plane = plane.mean(axis=2) if plane.ndim == 3 else plane
     assert plane.shape == shown.shape

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import time
-import tomllib
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
@@ -14,13 +13,10 @@ from threading import Thread
 import pytest
 
 from clsco.resources import processors
-from clsco.scene.sweep import parse_sweep
 from clsco.studio.session import Document
 from clsco.studio.store import from_link
-from tests.studio.browser import EXAMPLES, box, chromium, from_menu, number, open_scene, rest, type_in
+from tests.studio.browser import EXAMPLES, box, chromium, from_menu, number, open_scene, rest, scene_of, type_in
 from tests.studio.running import studio, until
-
-SCENE = "fetch(`scene?tab=${studio.tab}`).then((answer) => answer.text())"
 
 
 def test_a_scene_is_resumed_with_its_file(tmp_path: Path) -> None:
@@ -55,7 +51,7 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             rest(page)
             type_in(page, "camera.aperture_diameter", "-2")
             page.wait_for_function("JSON.stringify({ ...localStorage }).includes('-2')", timeout=20000)
-            (scene,) = parse_sweep(tomllib.loads(page.evaluate(SCENE))).scenes
+            scene = scene_of(page)
             box(page, "camera.focal_length").fill("19.5")  # of which the server may not know any more
             running.process.kill()
             page.locator("#lost").wait_for(state="visible", timeout=20000)
@@ -73,12 +69,12 @@ def test_a_studio_that_is_killed_and_started_again_has_the_scene(tmp_path: Path)
             page.locator("#lost", has_text="was started again").wait_for(timeout=30000)
             rest(page)
             page.wait_for_function("studio.values['camera.focal_length'] === 19.5", timeout=20000)
-            (found,) = parse_sweep(tomllib.loads(page.evaluate(SCENE))).scenes
+            resumed = scene_of(page)
             page.wait_for_function("studio.faults['camera.aperture_diameter']", timeout=20000)
             page.wait_for_timeout(500)
             assert box(page, "camera.aperture_diameter").input_value() == "-2"
             assert "got -2" in page.locator('[data-fault="camera.aperture_diameter"]').inner_text()
-            assert found == scene.replace("camera.focal_length", 19.5)
+            assert resumed == scene.replace("camera.focal_length", 19.5)
             assert number(other, "object.0.distance") == 250  # another tab has nothing of it
             page.reload()  # the studio knows the tab now
             rest(page)

@@ -74,7 +74,7 @@ def link_of(content: Any) -> str:
 
 NAMES = ("x" * 5000, "a/" * 2500, "\0", "*", "..", "/", "a/..", "**/*", "\ud800", "", ".")
 LINKS = [
-    "A" * 5000, "#s=" + "A" * 5000, "\N{BULLET}" * 5000,
+    "", "#s=***", "A" * 5000, "#s=" + "A" * 5000, "\N{BULLET}" * 5000,
     *(link_of({"object": [{"shape": "plane", "texture": name}], "files": {name: "0" * 64}}) for name in NAMES),
     *(link_of({"object": [{"shape": "plane", "texture": "a.png"}], "files": bad}) for bad in (*BAD, {"a.png": 1})),
     *(link_of({"object": [{"shape": bad}]}) for bad in BAD),

@@ -92,7 +92,7 @@ def test_what_is_refused_is_a_notice_and_dialogs_open() -> None:
         raise ClscoError("a: must be b")
 
     with page.current():
-        dialog = Dialog("A title", lambda: say("p", "first"))
+        dialog = Dialog("A title")
         button("a", refuse)
     page.hear(numbers("".join(page.out))[-1], "")
     dialog.open()

@@ -119,9 +119,10 @@ def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name:
 def generated(page: Any, root: Path, name: str) -> Path:
     """Press Generate; the folder with what it wrote."""
     page.locator("#generate").click()
-    page.get_by_label("Output folder").fill(name)
-    page.get_by_role("button", name="Write").first.click()
+    page.get_by_label("Into the folder").fill(name)
+    page.locator("#making .primary").click()
     page.locator(f".job.done:has-text('{name}')").wait_for(timeout=60000)
+    page.locator("#generate").click()
     return root / name
 
 

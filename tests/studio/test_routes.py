@@ -52,15 +52,6 @@ def client(tmp_path: Path) -> Client:
     return Client(Starlette(routes=Addresses(jobs, StateFolder(tmp_path), {"t": session}.get).routes()))
 
 
-def test_a_link_by_address(client: Client, tmp_path: Path) -> None:
-    other = Document(tmp_path)
-    other.patch("object.0.distance", 321.0)
-    assert client.post("/share?tab=t", content=other.share()).json() == {}
-    for content in ("#s=***", "", "\N{BULLET}".encode(), b"A" * 2**22):
-        assert client.post("/share?tab=t", content=content).status_code == 400
-    assert client.post("/share?tab=x", content=other.share()).status_code == 404
-
-
 def test_results_are_those_of_jobs_alone(client: Client) -> None:
     answer = client.get("/result", params={"job": 1, "name": "frame_0000.png"})
     assert answer.status_code == 200
@@ -80,7 +71,7 @@ def test_small_pictures_of_textures(client: Client) -> None:
 
 def test_masks_by_address(client: Client) -> None:
     mask = client.get("/inpainting/mask", params={"tab": "t"}).json()
-    assert mask == {"columns": 1, "rows": 1, "runs": [1]}
+    assert mask == {"columns": 1, "rows": 1, "runs": [1], "name": ""}
     place = "/inpainting/mask?tab=t"
     assert client.post(place, json={"columns": 1, "rows": 1, "runs": [0, 1]}).json()["runs"] == [0, 1]
     assert client.post(place, json={"column": 0, "row": 0, "tolerance": 0.1}).status_code == 200

@@ -21,13 +21,14 @@ FILES = {
 SHIPPED = ("sphere.toml",)
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
-  const parts = ["dialog", "header", "#lens-strip", "#middle", "#panels", "#side", "#status"];
+  const parts = ["dialog", "header", "#lens-strip", "#middle", "#panels", "#side", "#making", "#status"];
   const part = parts.find((each) => element.closest(each));
   const text = element.innerText ?? "", width = parseFloat(style.outlineWidth);
   return { part: part ?? element.tagName, text, style: style.outlineStyle, width };
 }"""
-KEYS = {"Inpaint": "b", "Generate": "Control+Enter", "Keyboard": "?", "Find": "Control+k"}
-DIALOGS = KEYS | dict.fromkeys(("Open", "Presets", "Save as", "Share"), "")  # "": of the menu
+DIALOGS = {"Keyboard": "?", "Find": "Control+k"} | dict.fromkeys(
+    ("Open", "Presets", "Save as", "Share"), ""
+)  # of the menu
 
 
 def focused(page: Any) -> dict[str, Any]:
@@ -78,16 +79,16 @@ def test_from_a_scene_to_its_frame_by_keys_alone(page: Any, root: Path) -> None:
     assert walk(page, "Tab", "1:1") == ["#lens-strip", "#middle", "#panels", "#status"]
     assert walk(page, "Shift+Tab", "Generate") == ["#status", "#panels", "#middle", "#lens-strip", "header"]
     page.keyboard.press("Enter")
-    page.get_by_label("Output folder").wait_for()
-    walk(page, "Tab", "Write 1 frame")
+    page.get_by_label("Into the folder").wait_for()
+    walk(page, "Tab", "Generate 1 frame")
     page.keyboard.press("Enter")
-    page.locator("dialog[open]").wait_for(state="hidden", timeout=10000)
     page.locator(".job.done").first.wait_for(timeout=60000)
     assert (root / "frames" / "small" / "frame_0000.png").is_file()
-    page.keyboard.press("Control+Enter")
-    page.get_by_label("Output folder").wait_for()
     page.keyboard.press("Escape")
-    page.get_by_label("Output folder").wait_for(state="hidden")
+    page.get_by_label("Into the folder").wait_for(state="hidden")
+    assert focused(page)["text"] == "Generate"  # it comes back to what opened it
+    page.keyboard.press("Control+Enter")
+    page.get_by_label("Into the folder").wait_for()
 
 
 def save_as(dialog: Any, name: str) -> None:
@@ -156,8 +157,8 @@ def test_a_copy_of_a_tab_is_a_session_of_its_own(page: Any, running: Running) ->
 def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: Running, root: Path) -> None:
     open_scene(page, "many.toml")
     page.locator("#generate").click()
-    page.get_by_label("Output folder").fill("long")
-    page.get_by_role("button", name="Write 3000 frames").click()
+    page.get_by_label("Into the folder").fill("long")
+    page.get_by_role("button", name="Generate 3000 frames").click()
     job = page.locator(".job.running:has-text('long')")
     job.locator("progress").wait_for(timeout=30000)
     page.wait_for_function("document.querySelector('.job.running progress').value > 0", timeout=60000)
@@ -198,6 +199,15 @@ def test_nothing_is_cut_off(page: Any) -> None:
         assert page.evaluate(beyond) == []
         boxes = [button.bounding_box() for button in page.locator("header button:visible").all()]
         assert {box["height"] for box in boxes} == {32}
+    page.set_viewport_size({"width": 1280, "height": 800})
+    widths = set()
+    for button in ("#fit", "#inspector", "#generate"):  # the picture keeps its size
+        page.locator(button).click()
+        page.wait_for_timeout(200)
+        widths.add(page.locator("#canvas").bounding_box()["width"])
+    assert len(widths) == 1
+    assert page.locator("#making .primary").bounding_box()["y"] < 600
+    assert page.locator("#making input:visible").count() <= 7  # the folder, and at most six choices
 
 
 @pytest.mark.parametrize("width", [1280, pytest.param(800, marks=pytest.mark.everyday)])
@@ -213,6 +223,10 @@ def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
             faults[name] = axe_faults(page)
             page.keyboard.press("Escape")
             page.wait_for_function("document.querySelector('dialog[open]') === null")
+        for name, press in {"Generate": "Control+Enter", "Compare": "p", "Inpaint": "b"}.items():
+            page.keyboard.press(press)
+            page.wait_for_timeout(600)
+            faults[name] = axe_faults(page)
         assert {name: found for name, found in faults.items() if found} == {}
 
 

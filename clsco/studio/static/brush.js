@@ -1,14 +1,14 @@
-// The brush of inpainting: a mask is painted over an image, and goes to the server as runs.
+// The mode of inpainting: a mask is painted over an image, and goes to the server as runs; fillings are beside it, by a wipe.
 
-import { on, one, problem, studio } from "./shared.js";
+import { all, on, one, problem, reword, stroked, studio } from "./shared.js";
 import { Viewport } from "./viewport.js";
 
 const TYPING = "input[type=text], input[type=number], select, textarea";
 const STEPS = 50; // of undo
 const MOST_KEPT = 2 ** 22; // runs of all masks that undo may come back to
 const part = (name) => one(`[data-brush="${name}"]`);
-const place = (what, rest = "") => `inpainting/${what}?tab=${encodeURIComponent(studio.tab)}${rest}`;
-const isOpen = () => Boolean(part("canvas")?.closest("dialog").open);
+const address = (what, rest = "") => `inpainting/${what}?tab=${encodeURIComponent(studio.tab)}${rest}`;
+const isOpen = () => one("#studio").dataset.mode === "inpaint";
 
 /** @type {HTMLImageElement | null} */
 let image = null;
@@ -22,8 +22,10 @@ let pointer = null; // pixel of the image under the pointer
 /** @type {[number, number][] | null} */
 let path = null; // pixels that a stroke went through
 /** @type {number[] | null} */
-let before = null; // runs of the mask when it began
-let wantsFrame = false; // B takes the frame that is shown, where no image is open
+let start = null; // runs of the mask when it began
+/** @type {Map<string, HTMLImageElement>} */
+const fillings = new Map(); // by method
+let chosen = "", isBefore = false; // the method that is seen beyond the wipe; the image alone is seen
 
 const say = (text) => { part("told").textContent = text; };
 
@@ -51,7 +53,8 @@ const fromRuns = (runs) => {
 
 const count = (runs) => {
   const missing = runs.reduce((sum, run, k) => (k % 2 ? sum + run : sum), 0);
-  say(`${missing} of ${mask.length} pixels are missing`);
+  say(`${missing} of ${mask.length} px are painted over`);
+  part("count").textContent = `${missing} px, ${(100 * missing / mask.length).toPrecision(2)} % are painted over`;
   part("undo").disabled = !past.length;
   part("redo").disabled = !future.length;
 };
@@ -73,10 +76,10 @@ let sending = Promise.resolve(); // one after the other, in the order in which t
 const send = (content) => {
   sending = sending.then(async () => {
     try {
-      const answer = await fetch(place("mask"), { method: "POST", body: JSON.stringify(content) });
+      const answer = await fetch(address("mask"), { method: "POST", body: JSON.stringify(content) });
       const found = await answer.json();
       if (found.error) say(found.error);
-      else if (content.runs === undefined) fromRuns(found.runs);
+      else if (content.runs === undefined) { fromRuns(found.runs); clear(); }
     } catch (error) { say(`mask: ${problem(error)}`); }
   });
 };
@@ -90,6 +93,7 @@ const remember = (runs) => {
 
 const painted = (then) => { // then: runs of the mask before
   const runs = runsOf();
+  clear();
   remember(then);
   count(runs);
   draw();
@@ -100,6 +104,7 @@ const back = (from, to) => {
   if (!from.length) return;
   const runs = from.pop();
   to.push(runsOf());
+  clear();
   fromRuns(runs);
   send({ columns, rows, runs });
 };
@@ -154,73 +159,123 @@ const drawn = () => {
   context.setTransform(ratio * scale, 0, 0, ratio * scale, ratio * left, ratio * top);
   context.imageSmoothingEnabled = scale < 1.5;
   context.drawImage(image, 0, 0);
-  context.drawImage(overlay, 0, 0);
-  part("zoom").textContent = `${Math.round(scale * ratio * 100)} %`;
+  if (!isBefore) context.drawImage(overlay, 0, 0);
+  split(context);
+  reword(one("#zoom"), `${Math.round(scale * ratio * 100)} %`);
   if (path !== null && (tool === "lasso" || tool === "rectangle")) {
-    const [a, b] = [path[0], path[path.length - 1]];
-    outline(context, tool === "lasso" ? path : [a, [b[0], a[1]], b, [a[0], b[1]]]);
+    const [a, b] = [path[0], path[path.length - 1]], corners = tool === "lasso" ? path : [a, [b[0], a[1]], b, [a[0], b[1]]];
+    outline(context, () => { for (const [x, y] of corners) context.lineTo(x, y); });
   } else if (pointer !== null && tool === "brush") {
-    const radius = Number(part("size").value) / 2, [x, y] = pointer, turns = Array.from({ length: 48 }, (_, k) => (k * Math.PI) / 24);
-    outline(context, turns.map((turn) => [x + radius * Math.cos(turn), y + radius * Math.sin(turn)]));
+    const [x, y] = pointer;
+    outline(context, () => context.arc(x, y, Number(part("size").value) / 2, 0, 2 * Math.PI));
   }
 };
 
-const outline = (context, corners) => { // white on black, which is seen on any color
-  for (const [color, width] of /** @type {[string, number][]} */ ([["#000", 3], ["#fff", 1.2]])) {
-    context.strokeStyle = color;
-    context.lineWidth = width / viewport.scale;
-    context.beginPath();
-    for (const corner of corners) context.lineTo(...corner);
-    context.closePath();
-    context.stroke();
-  }
+const split = (context) => { // what fills the mask, beyond the wipe
+  const filled = isBefore || path !== null ? undefined : fillings.get(chosen), wipe = part("wipe");
+  viewport.lay(wipe);
+  for (const each of [wipe, part("left"), part("right")]) each.hidden = filled === undefined;
+  if (filled === undefined) return;
+  reword(part("right"), `filled: ${one(`[data-card="${chosen}"] b`).textContent.toLowerCase()}`);
+  const from = (columns * wipe.value) / 100;
+  context.save();
+  context.beginPath();
+  context.rect(from, 0, columns - from, rows);
+  context.clip();
+  context.drawImage(filled, 0, 0);
+  context.restore();
 };
+
+const outline = (context, trace) => stroked(context, "#fff", [3 / viewport.scale, 1.2 / viewport.scale], () => {
+  trace();
+  context.closePath();
+});
 
 const draw = () => { frame ||= requestAnimationFrame(drawn); };
 const viewport = new Viewport(() => part("canvas"), () => [columns, rows], draw);
 
+// ---- fillings: each has a card with the same part of the picture ------------------------------------------------
+const clear = (isStale = true) => { // they are of another mask; isStale: the cards show them still
+  fillings.clear();
+  for (const card of all("[data-card]")) card.toggleAttribute("data-stale", isStale);
+  deal();
+  draw();
+};
+
+const place = () => { // of the cards' part of the image: about a pixel in the middle of those that are painted over
+  const { width, height } = one("[data-card] canvas"), wide = Math.min(Math.max(columns / 5, 24), columns), high = wide * height / width;
+  const marked = [];
+  for (let at = mask.indexOf(1); at >= 0; at = mask.indexOf(1, at + 1)) marked.push(at);
+  const middle = marked[marked.length >> 1] ?? 0, fit = (at, size, most) => Math.max(0, Math.min(at - size / 2, most - size));
+  return [fit(middle % columns, wide, columns), fit(Math.floor(middle / columns), high, rows), wide, high];
+};
+
+const deal = () => { // pictures onto the cards
+  const part = place();
+  for (const card of all("[data-card]")) {
+    const canvas = card.querySelector("canvas"), context = canvas.getContext("2d"), source = fillings.get(card.dataset.card);
+    context.imageSmoothingEnabled = false;
+    for (const layer of source ? [source] : [image, overlay]) context.drawImage(layer, ...part, 0, 0, canvas.width, canvas.height);
+    card.setAttribute("aria-pressed", String(source !== undefined && card.dataset.card === chosen));
+  }
+};
+
+const filled = async (method, methods = [...fillings.keys(), method]) => {
+  for (const each of fillings.keys()) if (!methods.includes(each)) fillings.delete(each);
+  const picture = new Image();
+  picture.src = address("picture", `&which=${method}&at=${Date.now()}`);
+  await picture.decode();
+  fillings.set(method, picture);
+  chosen = method;
+  deal();
+  draw();
+};
+
 // ---- image and mask of the server -------------------------------------------------------------------------------
 const load = async () => {
-  const picture = new Image();
-  picture.src = place("picture", `&which=image&at=${Date.now()}`);
+  const { name } = await (await fetch(address("mask"))).json(), picture = new Image();
+  if (!name) { part("frame").click(); return; } // of this tab
+  picture.src = address("picture", `&which=image&at=${Date.now()}`);
   await picture.decode();
   image = picture;
   [columns, rows] = [picture.naturalWidth, picture.naturalHeight];
   [overlay.width, overlay.height] = [columns, rows];
   mask = new Uint8Array(columns * rows);
   [past, future, path, pointer] = [[], [], null, null];
-  await taken();
+  await masked();
+  part("name").textContent = name;
+  part("pixels").textContent = `${columns} × ${rows} px`;
+  const small = part("thumbnail"), scale = Math.max(small.width / columns, small.height / rows);
+  small.getContext("2d").drawImage(picture, (small.width - scale * columns) / 2, (small.height - scale * rows) / 2, scale * columns, scale * rows);
   viewport.fit();
 };
 
-const taken = async () => {
-  const found = await (await fetch(place("mask"))).json();
-  if (found.error) say(found.error);
-  else fromRuns(found.runs);
+const masked = async () => {
+  const { error, runs } = await (await fetch(address("mask"))).json();
+  if (error) { say(error); return; }
+  fromRuns(runs);
+  clear(false);
 };
-
-const replaced = async () => { remember(runsOf()); await taken(); };
 
 // The frame that is shown, as an image of the studio's folder; gives its name.
 const shownFrame = async () => {
   const blob = await new Promise((done) => { one("#canvas").toBlob(done, "image/png"); });
-  const address = `texture?tab=${encodeURIComponent(studio.tab)}&kind=png`;
-  return (await (await fetch(address, { method: "POST", body: blob })).json()).name ?? "";
+  return studio.uploaded(Object.assign(blob, { name: "frame.png" }));
 };
 
 // ---- pointer ----------------------------------------------------------------------------------------------------
 const isCanvas = (target) => image !== null && target === part("canvas");
 
 const letGo = () => { // of a stroke that is not to be
-  if (before !== null) fromRuns(before);
-  [path, before] = [null, null];
+  if (start !== null) fromRuns(start);
+  [path, start] = [null, null];
   draw();
 };
 
-viewport.listen((event) => event.button !== 0 || tool === "move" || event.shiftKey, letGo);
+viewport.listen((event) => event.button !== 0 || event.shiftKey, letGo);
 
 on("pointerdown", (event, target) => {
-  if (!isCanvas(target) || viewport.isPinched || event.button !== 0 || tool === "move" || event.shiftKey) return;
+  if (!isCanvas(target) || viewport.isPinched || event.button !== 0 || event.shiftKey) return;
   pointer = viewport.at(event.clientX, event.clientY);
   if (tool === "color") {
     const [column, row] = pointer.map(Math.floor), tolerance = Number(part("tolerance").value) / 100;
@@ -228,7 +283,7 @@ on("pointerdown", (event, target) => {
     send({ column, row, tolerance, erase: part("erase").checked });
     return;
   }
-  before = runsOf();
+  start = runsOf();
   path = [pointer];
   if (tool === "brush") stroke(pointer, pointer);
   draw();
@@ -244,9 +299,9 @@ on("pointermove", (event, target) => {
 });
 
 const lifted = () => {
-  if (path === null || before === null) return;
-  const [way, runs] = [path, before];
-  [path, before] = [null, null];
+  if (path === null || start === null) return;
+  const [way, runs] = [path, start];
+  [path, start] = [null, null];
   if (tool === "rectangle") rectangle(way[0], way[way.length - 1]);
   if (tool === "lasso") polygon(way);
   painted(runs);
@@ -258,24 +313,46 @@ on("pointerout", (_, target) => { if (isCanvas(target)) { pointer = null; draw()
 // ---- controls and keys ------------------------------------------------------------------------------------------
 const ACTIONS = {
   clear: () => { const runs = runsOf(); mask.fill(0); hatch(0, 0, columns, rows); painted(runs); },
-  undo: () => back(past, future), redo: () => back(future, past),
-  fit: () => viewport.fit(), larger: () => viewport.zoom(1.5), smaller: () => viewport.zoom(1 / 1.5),
+  undo: () => back(past, future), redo: () => back(future, past), before: () => before(!isBefore),
 };
 
-on("change", (_, target) => { if (target.dataset?.brush === "tool") tool = target.value; });
+on("change", (_, target) => {
+  if (target.dataset?.brush !== "tool") return;
+  tool = target.value;
+  part("tolerance").parentElement.hidden = tool !== "color";
+  part("size").parentElement.hidden = tool !== "brush";
+});
+on("input", (_, target) => {
+  if (target.dataset?.brush === "wipe") draw();
+  else if (target.closest?.("#brush")) label();
+});
+const label = () => { // of the boxes of the brush
+  for (const [name, unit] of [["size", "px"], ["tolerance", "%"]]) {
+    const slider = part(name);
+    slider.style.setProperty("--at", `${(100 * (slider.value - slider.min)) / (slider.max - slider.min)}%`);
+    part(`${name}-about`).textContent = `${slider.value} ${unit}`;
+  }
+};
 on("click", (_, target) => {
-  const action = ACTIONS[target.dataset?.brush];
-  if (action && image !== null) action();
+  if (target.dataset?.mode) studio.mode(target.dataset.mode);
+  if (image !== null) ACTIONS[target.closest("[data-brush]")?.dataset.brush]?.();
+  const { card, filled: isFilled, stale } = target.closest("[data-card]")?.dataset ?? {};
+  if (isFilled === undefined || stale !== undefined) return;
+  if (!fillings.has(card)) { filled(card); return; } // after the page was loaded again
+  chosen = card;
+  deal();
+  draw();
 });
-on("click", (_, target) => { // flips between a result and the image before, or makes both large
-  const { figure } = target.dataset ?? {};
-  if (figure) target.setAttribute("aria-pressed", String(target.closest("figure").toggleAttribute(`data-${figure}`)));
-});
-window.addEventListener("resize", () => { if (image !== null && isOpen()) viewport.refit(); });
+const before = (is) => {
+  isBefore = is;
+  part("before").setAttribute("aria-pressed", String(is));
+  draw();
+};
 
 const resize = (key) => {
   const size = part("size"), was = Number(size.value), to = key === "[" ? Math.min(was - 1, was * 0.8) : Math.max(was + 1, was * 1.25);
   size.value = Math.round(to);
+  label();
   draw();
 };
 
@@ -296,36 +373,46 @@ const stepped = (event) => { // on the canvas arrows move the brush, and Enter p
 };
 
 const KEYS = {
-  "[": () => resize("["), "]": () => resize("]"), 0: ACTIONS.fit,
+  "[": () => resize("["), "]": () => resize("]"), 0: () => viewport.fit(), b: () => studio.mode("lens"),
   e: () => { part("erase").checked = !part("erase").checked; },
 };
+const OF_THE_PAGE = ["i", "?", "Tab"]; // keys
 
-const pressed = (event, target) => { // in the dialog
-  if (event.key === "Escape" && path !== null) event.preventDefault(); // the stroke goes, the dialog stays
-  if (event.key === "Escape") { letGo(); return; }
-  event.stopPropagation(); // keys of the picture behind the dialog, undo of the scene among them
-  if (image === null || target.closest?.(TYPING)) return;
+const pressed = (event, target) => { // in the mode
+  if (event.key === "Escape" && path !== null) { event.stopPropagation(); letGo(); return; }
+  if (target.closest?.(TYPING) || event.key === "Escape") return;
   if (event.ctrlKey || event.metaKey) {
     if (event.key.toLowerCase() !== "z") return;
     event.preventDefault();
-    ACTIONS[event.shiftKey ? "redo" : "undo"]();
-  } else if (event.key in KEYS) KEYS[event.key]();
+    event.stopPropagation(); // of undo of the scene
+    if (image !== null) ACTIONS[event.shiftKey ? "redo" : "undo"]();
+    return;
+  }
+  if (!OF_THE_PAGE.includes(event.key)) event.stopPropagation(); // keys of the picture
+  if (image === null) return;
+  if (event.key === " " && target === document.body) { event.preventDefault(); before(true); }
+  else if (event.key in KEYS && !event.altKey) KEYS[event.key]();
   else if (target === part("canvas")) stepped(event);
 };
 
 on("keydown", (event, target) => {
+  if (one("dialog:modal")) return;
   if (isOpen()) { pressed(event, target); return; }
-  const isFree = !event.ctrlKey && !event.metaKey && !event.altKey && !target.closest?.(TYPING) && !one("dialog[open]");
-  wantsFrame = event.key === "b" && isFree;
-  if (wantsFrame) one("#inpaint").click();
+  if (event.key === "b" && !event.ctrlKey && !event.metaKey && !event.altKey && !target.closest?.(TYPING)) studio.mode("inpaint");
 }, { capture: true });
-
-studio.brush = {
-  load, replaced, shownFrame, sent: () => sending,
-  opened: (hasImage) => {
-    if (image !== null) draw();
-    else if (hasImage) load();
-    else if (wantsFrame) part("frame").click();
-    wantsFrame = false;
-  },
+on("keyup", (event) => { if (event.key === " " && isBefore && event.target === document.body) before(false); });
+/** Shows the scene ("lens") or the image that is painted over ("inpaint"), which is at first the frame that is shown. */
+studio.mode = (name) => {
+  one("#studio").dataset.mode = name;
+  for (const button of all("#mode button")) button.setAttribute("aria-checked", String(button.dataset.mode === name));
+  studio.moded();
+  studio.viewport = isOpen() ? viewport : studio.stageView;
+  if (!isOpen() || image !== null) studio.viewport.refit();
+  else load();
 };
+
+studio.parts.push(() => {
+  label();
+  new ResizeObserver(() => { if (image !== null && isOpen()) viewport.refit(); }).observe(part("canvas"));
+});
+studio.brush = { load, replaced: () => { remember(runsOf()); masked(); }, shownFrame, filled, sent: () => sending };

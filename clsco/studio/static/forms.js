@@ -58,15 +58,11 @@ const small = async (image, path, name) => {
 };
 
 // The scene of a link is the fragment of the page's address, which browsers do not send.
-const shared = async () => {
+window.addEventListener("hashchange", () => {
   if (!location.hash.startsWith("#s=")) return;
-  const answer = await fetch(`share?tab=${studio.tab}`, { method: "POST", body: location.hash });
-  const { error } = await answer.json();
+  studio.send({ link: location.hash });
   history.replaceState(null, "", location.pathname + location.search);
-  if (error) studio.fail([error]);
-};
-studio.parts.push(shared);
-window.addEventListener("hashchange", shared);
+});
 
 // Small pictures follow the names of the textures.
 const shown = new Map();

@@ -1,7 +1,6 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
 import "./handles.js";
-import "./tour.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { on, one, problem, reword, studio } from "./shared.js";

@@ -1,7 +1,7 @@
 // What takes long: how far it is, what it waits for, and its end by Esc.
 
 import { RUNG } from "./protocol.js";
-import { one, studio } from "./shared.js";
+import { all, one, reword, studio } from "./shared.js";
 
 const STILL = 10; // s without progress, after which it is said what is waited for
 const PACE = 2000; // ms between words, as they are read out
@@ -33,12 +33,38 @@ const stopped = () => {
 };
 studio.isCanceled = () => canceled;
 
+let took = 0; // s, an exact frame
+const time = (seconds) => {
+  const [unit, size] = seconds < 100 ? ["s", 1] : seconds < 6000 ? ["min", 60] : ["h", 3600];
+  return `${Number((seconds / size).toPrecision(2))} ${unit}`;
+};
+const predicted = () => { // what Generate is about to take
+  for (const place of all("[data-took]")) {
+    const seconds = took * Number(place.dataset.took);
+    place.textContent = seconds ? `, about ${time(seconds)}` : "";
+    reword(one("#making .primary"), `Generate ${place.dataset.amount}`);
+  }
+};
+
+studio.parts.push(predicted);
+let spoken = 0;
+const speak = () => { // how far jobs are, not too often
+  if (performance.now() - spoken < PACE) return;
+  spoken = performance.now();
+  const words = (job) => `${job.getAttribute("aria-label")} ${job.querySelector("small").textContent}`;
+  reword(one("#spoken"), all(".job:is(.waiting, .running)").map(words).join("; "));
+};
+
 studio.hearing.push((said) => {
   if (said.progress) progressed(said.progress);
+  if (said.about?.took) took = said.about.took;
+  if (said.about || said.part) predicted();
+  if (said.part) speak();
   if (said.stopped) stopped();
 });
 
 studio.escape = () => {
   if (document.querySelector("dialog[open]")) return;
   if (!one("#progress").hidden && !canceled) studio.send({ do: "cancel" });
+  else if (one("#studio").classList.contains("making")) studio.dock("making", false);
 };

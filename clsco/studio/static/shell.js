@@ -7,36 +7,48 @@ const THEME = "clsco-theme";
 
 // ---- docks and sheets ---------------------------------------------------------------------------------------------
 const page = () => one("#studio").classList;
+const SIDES = ["sided", "making"]; // the inspector and Generate, which share a column
+const isIn = (name) => page().contains(name);
 const shown = () => {
-  one("#inspector").setAttribute("aria-pressed", String(page().contains("sided")));
-  const part = page().contains("open") ? "open" : page().contains("sided") ? "sided" : "";
-  for (const button of all("#tabs button")) button.toggleAttribute("aria-current", button.dataset.partOf === part);
+  one("#inspector").setAttribute("aria-pressed", String(isIn("sided")));
+  one("#generate").setAttribute("aria-expanded", String(isIn("making")));
+  const mode = one("#studio").dataset.mode === "inpaint" ? "inpaint" : "";
+  const part = isIn("open") ? "open" : isIn("sided") ? "sided" : mode;
+  for (const button of all("#tabs button")) button.setAttribute("aria-current", String(button.dataset.partOf === part));
+};
+studio.moded = () => { // the panels are of the other mode
+  if (innerWidth < DOCKED) page().remove(...SIDES, "open");
+  shown();
 };
 
-/** Opens or closes the panels ("open") or the inspector with the jobs ("sided"); where the page is narrow, one at a time. */
-studio.dock = (name, on = !page().contains(name === "open" && innerWidth > NARROW ? "folded" : name)) => {
-  const other = name === "open" ? "sided" : "open";
+let wasSided = false; // before Generate was opened
+/** Opens or closes the panels ("open"), the inspector ("sided") or Generate ("making"); in a narrow page one at a time. */
+studio.dock = (name, on = !isIn(name === "open" && innerWidth > NARROW ? "folded" : name)) => {
+  const isWide = innerWidth >= DOCKED;
+  if (name === "making" && on) wasSided = isIn("sided");
   if (name === "open" && innerWidth > NARROW) {
-    const sided = page().contains("sided") && innerWidth < DOCKED;
-    page().toggle("folded", on && !sided);
-    if (sided) page().remove("sided");
+    const covers = !isWide && SIDES.some(isIn);
+    page().toggle("folded", on && !covers);
+    if (covers) page().remove(...SIDES);
   } else {
     page().toggle(name, on);
-    if (on && innerWidth < DOCKED) page().remove(other);
+    if (on) page().remove(...SIDES.filter((side) => side !== name && (name !== "open" || !isWide)), ...(isWide || name === "open" ? [] : ["open"]));
   }
+  if (name === "making" && !on && isWide && wasSided) page().add("sided");
+  if (name === "making") one(on ? "#making" : "#generate").focus();
   shown();
 };
 
 let most = 0; // jobs that were there
 const jobs = () => { // one that has begun is brought into sight
-  const count = all("#side .job:is(.waiting, .running)").length;
-  if (count > most && !page().contains("sided")) studio.dock("sided", true);
-  if (count > most) one("#side .job:is(.waiting, .running)").scrollIntoView({ block: "nearest" });
-  most = count;
+  const rows = all("#making .job:is(.waiting, .running)");
+  if (rows.length > most && !isIn("making")) studio.dock("making", true);
+  if (rows.length > most) rows[0].scrollIntoView({ block: "nearest" });
+  most = rows.length;
 };
 
 // ---- groups of buttons: arrows go from one to the next -------------------------------------------------------------
-const GROUPS = "[role=toolbar], [role=tablist], #stops";
+const GROUPS = "[role=toolbar], [role=tablist], #stops, #mode";
 const members = (group) => [...group.querySelectorAll("button")].filter((each) => each.checkVisibility() && !each.disabled);
 const rove = () => {
   for (const group of all(GROUPS)) {
@@ -55,7 +67,7 @@ on("keydown", (event, target) => {
   event.preventDefault();
   const buttons = members(group), next = buttons[(buttons.indexOf(target) + step + buttons.length) % buttons.length];
   next.focus();
-  if (group.id === "stops") next.click();
+  if (group.matches("#stops, #mode")) next.click();
 });
 
 // ---- commands by words ---------------------------------------------------------------------------------------------
@@ -125,13 +137,13 @@ studio.parts.push(() => {
   });
   on("click", (_, target) => {
     const part = target.closest("[data-part-of]")?.dataset.partOf, to = target.closest("[data-to]")?.dataset.to;
-    if (part === "inpaint") one("#inpaint").click();
-    else if (part !== undefined) for (const name of ["open", "sided"]) studio.dock(name, name === part);
+    if (part === "" || part === "inpaint") studio.mode(part || "lens");
+    if (part !== undefined) for (const name of ["open", ...SIDES]) if (name === part || isIn(name)) studio.dock(name, name === part);
     if (to) one(`#lens-strip input[type=text][data-path="${to}"]`).focus();
     for (const menu of all("#menu:popover-open")) if (target.closest("#menu button")) menu.hidePopover();
     setTimeout(rove);
   });
-  new MutationObserver(jobs).observe(one("#side"), { childList: true, subtree: true });
+  new MutationObserver(jobs).observe(one("#recipes"), { childList: true, subtree: true });
   if (innerWidth >= DOCKED) studio.dock("sided", true);
   jobs();
   rove();

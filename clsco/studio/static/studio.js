@@ -155,14 +155,13 @@ const placed = () => {
     each.style.transform = `translate(${left}px, ${top}px) scale(${scale})`;
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
-  const wipe = one("#wipe"), width = scale * one("#canvas").width; // its middle goes from edge to edge of the picture
-  [wipe.style.left, wipe.style.width] = [`${left - 16}px`, `${width + 32}px`];
-  reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
+  viewport.lay(one("#wipe"));
+  if (studio.viewport === viewport) reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
   awaitsOver ||= requestAnimationFrame(over);
 };
 
 const viewport = new Viewport(() => one("#stage"), () => [one("#canvas").width, one("#canvas").height], placed);
-studio.viewport = viewport;
+studio.viewport = studio.stageView = viewport; // that of the brush in its mode
 
 let awaitsOver = 0, stage = { width: 0, height: 0 }; // its size, which is not asked for while much changes
 const over = () => { // what is drawn over the picture, once before it is shown
@@ -196,8 +195,8 @@ const numbers = (context, width, height) => { // the codes, written in the pixel
 const pointing = () => {
   viewport.listen((event) => event.button === 0 && !studio.tool && studio.handleAt(event.clientX, event.clientY) === null);
   one("#stage").addEventListener("dblclick", () => viewport.fit());
-  one("#fit").addEventListener("click", () => viewport.fit());
-  one("#actual").addEventListener("click", () => viewport.zoom(1 / devicePixelRatio / viewport.scale));
+  one("#fit").addEventListener("click", () => studio.viewport.fit());
+  one("#actual").addEventListener("click", () => studio.viewport.zoom(1 / devicePixelRatio / studio.viewport.scale));
   new ResizeObserver(([{ contentRect }]) => {
     stage = contentRect;
     viewport.refit();

@@ -73,6 +73,16 @@ export class Viewport {
   /** The point of the element that shows the middle of a pixel. @type {import("./shared.js").Place} */
   place = (column, row) => [this.left + (column + 0.5) * this.scale, this.top + (row + 0.5) * this.scale];
 
+  /** Lays a wipe over the image, and tells its element where the image is. */
+  lay(wipe) {
+    const width = this.scale * this.size()[0], { style } = wipe.parentElement;
+    [wipe.style.left, wipe.style.width] = [`${this.left - 16}px`, `${width + 32}px`]; // its middle goes from edge to edge
+    wipe.style.setProperty("--share", String(wipe.value / 100));
+    style.setProperty("--from", `${this.left}px`);
+    style.setProperty("--to", `${this.left + width}px`);
+    style.setProperty("--above", `${this.top}px`);
+  }
+
   get isPinched() { return this.#fingers.size > 1; }
 
   /**

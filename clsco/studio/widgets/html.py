@@ -101,14 +101,19 @@ def say(tag: str, text: str = "", **attributes: Any) -> Element:
     out, words = page().out, ""
     for name, value in attributes.items():
         if name in EVENTS:
-            number = next(page().numbers)
-            page().handlers[number] = value
-            words += f' data-on="{name}" data-number="{number}"'
+            words += handled(name, value)
         elif value is not None and value is not False:
             words += f" {name.rstrip('_').replace('_', '-')}"
             words += "" if value is True else f'="{html.escape(str(value))}"'
     out += [f"<{tag}{words}>{html.escape(text)}", "" if tag in _EMPTY else f"</{tag}>"]
     return Element(out)
+
+
+def handled(event: str, handler: Handler) -> str:
+    """Attributes of an element whose event has a handler."""
+    number = next(page().numbers)
+    page().handlers[number] = handler
+    return f' data-on="{event}" data-number="{number}"'
 
 
 class PagePart:
@@ -181,6 +186,12 @@ def button(text: str, pressed: Callable[[], object], **attributes: Any) -> Eleme
     return say("button", text, type="button", click=lambda _: pressed(), **attributes)
 
 
+def icon_button(name: str, label: str, pressed: Callable[[], object], **attributes: Any) -> None:
+    """A button with a symbol in place of its label; errors of its handler are shown."""
+    with button("", pressed, class_="icon", aria_label=label, title=label, **attributes):
+        icon(name)
+
+
 def icon(name: str) -> None:
     """A symbol of static/icons.svg."""
     with say("svg", class_="i", aria_hidden="true"):
@@ -192,6 +203,13 @@ def text_box(label: str, value: str, typed: Callable[[str], object], **attribute
     with say("label", class_="box"):
         say("span", label)
         say("input", type="text", value=value, autocomplete="off", input=lambda text: typed(str(text)), **attributes)
+
+
+def command_row(line: str, of: str = "") -> None:
+    """A command line, and a button that copies it; of: what its accessible name adds."""
+    with say("div", class_="row"):
+        say("code", line)
+        say("button", "Copy", type="button", data_copy=line, aria_label=f"Copy the command line{of}")
 
 
 def check_box(label: str, is_on: bool, changed: Callable[[bool], object], **attributes: Any) -> None:
@@ -215,7 +233,7 @@ def choice(
     """A labeled list of options, by value; `missing` has the reasons why some of them cannot be `chosen`."""
     with say("label", class_="box"):
         say("span", label)
-        with say("select", change=lambda option: chosen(str(option))):
+        with say("select", change=lambda option: chosen(str(option)) if str(option) in options else None):
             for option, text in options.items():
                 lacks = missing.get(option, "")
                 shown = f"{text} ({lacks})" if lacks else text
@@ -225,10 +243,10 @@ def choice(
 class Dialog:
     """A native dialog of the browser, which keeps the focus inside, and closes with Esc."""
 
-    def __init__(self, title: str, draw: Callable[[], object] = lambda: None, wide: bool = False) -> None:
+    def __init__(self, title: str, wide: bool = False) -> None:
         self._page = page()
         self._place = f"#dialog-{next(self._page.numbers)}"
-        body = PagePart(draw)
+        body = PagePart()
         self.filled = body.filled
         with say("dialog", id=self._place[1:], aria_label=title, class_=f"studio-dialog{' wide' if wide else ''}"):
             say("h2", title)
