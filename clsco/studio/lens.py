@@ -8,6 +8,7 @@ from typing import Any
 from clsco.optics.lens import SHARP, Lens
 from clsco.optics.lens_path import reference_camera
 from clsco.scene.model import Scene
+from clsco.scene.spread import APERTURE_KEYS
 
 NEAREST, FARTHEST = 1.05, 1000.0  # focal lengths
 
@@ -18,6 +19,7 @@ def lens_line(scene: Scene) -> dict[str, Any]:
     Returns `focus`, the distance in focus; `near` and `far`, the distances where |R| = SHARP; `focal_length`;
     `aperture`, the diameter; `pitch`, the pixel pitch; `scale`, the distance s0 that sets the scale of the image; and
     `nearest`, the near end of the ruler: half of the distance in focus, or nearly, so that it changes only in steps.
+    Also `opening`: the keys of [aperture] by which it is drawn.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)
@@ -33,4 +35,5 @@ def lens_line(scene: Scene) -> dict[str, Any]:
         "scale": camera.normalization_distance,
         "nearest": max(2.0 ** (round(2.0 * math.log2(half)) / 2.0), NEAREST * camera.focal_length),
     }
-    return {name: value if math.isfinite(value) else None for name, value in found.items()}
+    opening = {key: getattr(scene.aperture, key) for key in ("shape", *APERTURE_KEYS, "squeeze")}
+    return {name: value if math.isfinite(value) else None for name, value in found.items()} | {"opening": opening}

@@ -69,6 +69,7 @@ class Preview:
 
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
         self._session, self._renderer, self._send = session, renderer, send
+        self._revision = session.revision
         self._view, self._index = "color", 0
         self._time: float | None = None  # time of the only time sample to show, s; None for the whole frame
         self._eye: Eye = "left"  # of a stereo pair
@@ -88,8 +89,14 @@ class Preview:
         self._outlines, self._outlined = False, 0  # True to send object numbers; state for which they were sent
         self._warm: set[Any] = set()  # kinds of scenes for which kernels were compiled ahead
 
+    def edited(self) -> None:
+        """Handle a change of the session; a refused value does not change the picture."""
+        if self._revision != self._session.revision:
+            self.changed()
+
     def changed(self) -> None:
-        """Handle a change of the session's scene."""
+        """Render again."""
+        self._revision = self._session.revision
         self._state += 1
         self._is_stopped = False
         self._changed_at, self._crashes = _now(), 0

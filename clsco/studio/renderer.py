@@ -9,7 +9,6 @@ import traceback
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import aclosing, suppress
 from dataclasses import dataclass, replace
-from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -19,12 +18,13 @@ from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH
 from clsco.optics.motion import Eye
 from clsco.plan.memory import device_bytes
+from clsco.plan.plan import Plan
 from clsco.plan.prepare import prepare, with_resolution
 from clsco.plan.request import Request
 from clsco.resources import machine_bytes
 from clsco.scene.model import Scene
-from clsco.studio.inspector import figures_of, inspected, overview, source_of
-from clsco.studio.ladder import Ladders, coarser, plan_line, unblurred, ways_of, work_of
+from clsco.studio.inspector import figures_of, focus_point, inspected, overview, source_of
+from clsco.studio.ladder import Ladders, choices_of, coarser, plan_line, unblurred, work_of
 from clsco.studio.pictures import (
     DRAGGING,
     EXACT,
@@ -38,7 +38,8 @@ from clsco.studio.pictures import (
 )  # fmt: skip
 
 TICK = 0.5  # s between reports on long work
-REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
+REHEARSED = (3, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
+POINT = "depth", "blur_radius", "object_id", "mask", "normal"  # outputs of exact frames, for the point in focus
 PATIENCE = 1.0  # s that one of these pictures may take
 SILENCE = 30.0  # s without an answer or report after which the process is killed, as it is stopped, or its driver hangs
 
@@ -66,6 +67,7 @@ class Question:
 
     scene: Scene
     index: int
+    # x, y: pixel; -1 for the point in focus
     x: int
     y: int
     eye: Eye = "left"
@@ -83,7 +85,7 @@ class RenderProgress:
     """Progress of long work."""
 
     doing: str  # current work: a pass, a compilation, or work for another tab
-    # done, total: time samples
+    # done, total: time samples; of a compilation, kernels
     done: int
     total: int
     still: float  # s since any of these last changed
@@ -256,6 +258,11 @@ def _needed(job: PictureJob) -> Scene:
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
+def _uses_gradient(plan: Plan) -> bool:
+    """True if weights depend on the gradient of R."""
+    return plan.tilt and plan.occlusion != "layered"
+
+
 @dataclass
 class _Known:
     """A frame with all of its ground truth, kept for further questions.
@@ -343,6 +350,9 @@ class _RenderWorker:
             found = RenderProgress("starting the device", 0, 0, 0.0)
             if progress is not None:
                 found = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
+                if progress.doing.startswith("compiling"):  # kernels of all programs, of which few are not needed
+                    compiled, programs = tuple(live.session.compiled), tuple(live.session.programs.values())
+                    found = replace(found, done=len({shape[0] for shape in compiled}), total=sum(map(len, programs)))
             if before != (current, found):
                 before, since = (current, found), now
             with suppress(OSError):
@@ -353,35 +363,37 @@ class _RenderWorker:
         self._send(number, self._coarse_picture(job, size, *self._ladders_of(job).choose(_needed(job), size)))
 
     def _coarse_picture(
-        self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
+        self, job: PictureJob, size: tuple[int, int], is_still: bool, eighths: int, learns: bool = True
     ) -> ViewPicture:
         """Render a preview; learns: True to learn from its time."""
         exact, start = _needed(job), time.perf_counter()
-        scene = coarser(exact, size, eighths, way)
+        scene = coarser(exact, size, eighths, is_still)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         if learns:
-            self._ladders_of(job).of[way].measured(work_of(exact, size, way), eighths, time.perf_counter() - start)
-        return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(exact)))))
+            work = work_of(exact, size, is_still)
+            self._ladders_of(job).of[is_still].measured(work, eighths, time.perf_counter() - start)
+        return replace(picture, is_still=is_still)
 
     def _rehearse(self, job: PictureJob) -> None:
         size, ladders, exact = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
-        for way in ways_of(exact):
-            ladder, work = ladders.of[way], work_of(exact, size, way)
+        for is_still in choices_of(exact):
+            ladder, work = ladders.of[is_still], work_of(exact, size, is_still)
             if job.took:
                 ladder.bounded(work, job.took)
             for eighths in REHEARSED:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     for learns in (False, True):
-                        self._coarse_picture(job, size, way, eighths, learns)
+                        self._coarse_picture(job, size, is_still, eighths, learns)
 
     def _exact(self, number: int, job: PictureJob) -> None:
         self._check(number)
         start = time.perf_counter()
         scene = _needed(job)
-        frame = self._frame(scene, job, truth_of(job.view))
+        truth = truth_of(job.view) + POINT * (job.rung == EXACT and scene is job.scene)
+        frame = self._frame(scene, job, tuple(dict.fromkeys(truth)))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        self._ladders_of(job).of[()].bounded(work_of(scene, (columns, rows)), seconds)
+        self._ladders_of(job).of[False].bounded(work_of(scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)
@@ -394,7 +406,10 @@ class _RenderWorker:
         request, device, files = Request(truth_of(job.view)), self._live.session.device, self._live.files
         prepared = prepare(rendered, request, device, files)
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
-        return {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
+        found = {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
+        if rendered is job.scene:
+            found["point"] = inspected(frame, job.scene, *focus_point(frame), _uses_gradient(whole.plan))
+        return found
 
     def _ladders_of(self, job: PictureJob) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
@@ -405,6 +420,7 @@ class _RenderWorker:
             return overview(known.frame, scene)
         rows, columns = known.frame.color.shape[:2]
         x, y = min(question.x, columns - 1), min(question.y, rows - 1)
+        x, y = (x, y) if x >= 0 else focus_point(known.frame)
         if not question.measures:
             return inspected(known.frame, scene, x, y, known.is_tilted) | {"seconds": known.seconds}
         source = source_of(known.frame, scene, x, y)
@@ -423,7 +439,7 @@ class _RenderWorker:
             plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
             frame = self._frame(question.scene, question, ALL_TRUTH)
             seconds = sum(frame.metadata["seconds"].values())  # time of kernels, without compilation
-            self._known = _Known(question.frame, frame, plan.tilt and plan.occlusion != "layered", seconds)
+            self._known = _Known(question.frame, frame, _uses_gradient(plan), seconds)
         return self._known
 
     def _frame(self, scene: Scene, of: PictureJob | Question, truth: tuple[str, ...]) -> Frame:

@@ -26,7 +26,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import FileError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.scene.model import Scene
 from clsco.studio.background import keep_running
 from clsco.studio.generate import stack_scenes
@@ -36,8 +36,10 @@ from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
+from clsco.studio.pictures import EXACT
 from clsco.studio.presets import FIRST, choose_method, load_preset
 from clsco.studio.preview import MEASURE, OVERVIEW, Preview
+from clsco.studio.renderer import PictureJob
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
@@ -188,7 +190,7 @@ class Studio:
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
         pointer = Pointer(tab.session, preview)
-        endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
+        endings = [tab.session.subscribe(listener) for listener in (preview.edited, tab.told.set)]
 
         async def report(messages: list[str]) -> None:
             with suppress(WebSocketDisconnect):
@@ -282,6 +284,8 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
     match said:
         case {"at": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y)
+        case {"at": None}:
+            pointer.ask(-1, -1)
         case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y, MEASURE)
         case {"overview": True}:
@@ -433,19 +437,26 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     )  # fmt: skip
     server = uvicorn.Server(config)
 
+    async def open_browser() -> None:
+        """Open the browser once the first scene is compiled, so that it opens with a picture."""
+        with suppress(ClscoError):  # pictures report faults of the scene
+            job = PictureJob(studio.new_session().scene, 0, "color", EXACT)
+            _ = [picture async for picture in studio.renderer.pictures(job)]
+        state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
+        address = (state.path / OPENING).as_uri()
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # never awaited
+
     async def run() -> None:
         serving = asyncio.create_task(server.serve([listener]))
         while not (server.started or serving.done()):
             await asyncio.sleep(0.01)
         show(f"http://{shown}:{port}/?t={token}")  # from here on Ctrl-C is the server's
-        if opens_browser:
-            state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
-            address = (state.path / OPENING).as_uri()
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # never awaited
+        opening = asyncio.create_task(open_browser() if opens_browser else asyncio.sleep(0))
         connections = server.server_state.connections
         closing = asyncio.create_task(keep_running(partial(close_half_open, connections), studio.report))
         await serving
         closing.cancel()
+        opening.cancel()
 
     gc.collect()
     gc.freeze()  # later collections skip all permanent objects

@@ -171,7 +171,7 @@ def test_a_time_sample_is_seen_alone(moving: Any) -> None:
 def test_frames_are_played_from_what_came(moving: Any) -> None:
     scene = clsco.parse_scene(SCENE)
     moving.locator("#play").click()
-    moving.wait_for_function("document.querySelector('#badge').textContent === 'played'", timeout=20000)
+    moving.wait_for_function("document.querySelector('#badge').textContent === 'Played'", timeout=20000)
     assert moving.locator("#play").get_attribute("aria-pressed") == "true"
     seen = set()
     for _ in range(40):

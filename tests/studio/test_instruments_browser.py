@@ -88,26 +88,6 @@ def drag(page: Any, begin: tuple[float, float], end: tuple[float, float]) -> Non
     page.mouse.up()
 
 
-def test_the_tour_goes_through_the_page(page: Any) -> None:
-    page.keyboard.press("?")
-    page.get_by_role("button", name="Tour of the studio").click()
-    seen = []
-    for _ in range(20):
-        seen.append(page.locator("#tour-words").inner_text())
-        assert page.locator("[data-toured]").count() == 1
-        page.keyboard.press("Enter")  # the focus is on Next
-        if not page.locator("#tour").is_visible():
-            break
-    assert len(seen) == len(set(seen)) == 10
-    assert 150 < sum(len(text.split()) for text in seen) < 400  # two minutes
-    assert page.locator("[data-toured]").count() == 0
-    page.keyboard.press("?")
-    page.get_by_role("button", name="Tour of the studio").click()
-    assert axe_faults(page) == []
-    page.keyboard.press("Escape")
-    page.locator("#tour").wait_for(state="hidden")
-
-
 def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
     data = codes(clsco.parse_scene(STILL))
     dark, bright = (100 * float(np.mean(data.max(-1) == code)) for code in (0, 255))
@@ -146,7 +126,7 @@ def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
     page.locator("#shown summary").click()
     with page.expect_download() as waits:
         page.locator("#save-picture").click()
-    assert waits.value.suggested_filename == "untitled-color-exact_of_these_values.png"
+    assert waits.value.suggested_filename == "untitled-color-Exact.png"
     waits.value.save_as(tmp_path / "picture.png")
     assert np.array_equal(read_image(tmp_path / "picture.png").data[..., :3], pixels(page))
 

@@ -1,7 +1,6 @@
 // Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
 
 import "./handles.js";
-import "./tour.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { on, one, problem, reword, studio } from "./shared.js";
@@ -119,7 +118,7 @@ const clicks = () => {
   stage.addEventListener("click", (event) => {
     const moved = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 3;
     awaited = moved || studio.tool ? null : studio.viewport.pixelAt(event.clientX, event.clientY);
-    if (awaited) studio.send({ at: awaited });
+    if (awaited) studio.pin(awaited);
   });
 };
 
@@ -182,8 +181,9 @@ studio.parts.push(() => {
   one("#save-picture").addEventListener("click", save);
   one("#copy-picture").addEventListener("click", copy);
   on("keydown", (event) => {
-    if (event.key !== "Escape" || chosen < 0 || one("dialog[open]")) return;
-    choose(-1);
+    if (event.key !== "Escape" || one("dialog[open]")) return;
+    if (chosen >= 0) choose(-1);
+    studio.pin(null);
     studio.viewport.changed();
   });
 });
