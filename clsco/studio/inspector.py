@@ -69,10 +69,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
 
 
 def focus_point(frame: Frame) -> tuple[int, int]:
-    """Column and row of a pixel in focus, that nearest to the center; if there is none, of a pixel with the least |R|.
-
-    The frame must have `blur_radius`, and `mask` if pixels may have no surface.
-    """
+    """Column and row of the pixel in focus that is nearest to the center, or else of a pixel with the least |R|."""
     assert frame.blur_radius is not None
     radius = np.abs(frame.blur_radius[..., GREEN] if frame.blur_radius.ndim == 3 else frame.blur_radius)
     radius = radius if frame.mask is None else np.where(frame.mask, radius, np.inf)

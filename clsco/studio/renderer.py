@@ -18,7 +18,6 @@ from clsco.frame.frame import Frame
 from clsco.frame.outputs import ALL_TRUTH
 from clsco.optics.motion import Eye
 from clsco.plan.memory import device_bytes
-from clsco.plan.plan import Plan
 from clsco.plan.prepare import prepare, with_resolution
 from clsco.plan.request import Request
 from clsco.resources import machine_bytes
@@ -258,11 +257,6 @@ def _needed(job: PictureJob) -> Scene:
     return unblurred(job.scene) if job.view in UNBLURRED and job.scene.is_analytic else job.scene
 
 
-def _uses_gradient(plan: Plan) -> bool:
-    """True if weights depend on the gradient of R."""
-    return plan.tilt and plan.occlusion != "layered"
-
-
 @dataclass
 class _Known:
     """A frame with all of its ground truth, kept for further questions.
@@ -408,7 +402,8 @@ class _RenderWorker:
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
         found = {"plan": plan_line(prepared, seconds)} | exposure_of(frame, job.scene, whole.plan.samples)
         if rendered is job.scene:
-            found["point"] = inspected(frame, job.scene, *focus_point(frame), _uses_gradient(whole.plan))
+            is_tilted = whole.plan.tilt and whole.plan.occlusion != "layered"
+            found["point"] = inspected(frame, job.scene, *focus_point(frame), is_tilted)
         return found
 
     def _ladders_of(self, job: PictureJob) -> Ladders:
@@ -439,7 +434,7 @@ class _RenderWorker:
             plan = prepare(question.scene, None, self._live.session.device, self._live.files).plan
             frame = self._frame(question.scene, question, ALL_TRUTH)
             seconds = sum(frame.metadata["seconds"].values())  # time of kernels, without compilation
-            self._known = _Known(question.frame, frame, _uses_gradient(plan), seconds)
+            self._known = _Known(question.frame, frame, plan.tilt and plan.occlusion != "layered", seconds)
         return self._known
 
     def _frame(self, scene: Scene, of: PictureJob | Question, truth: tuple[str, ...]) -> Frame:

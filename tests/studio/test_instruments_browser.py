@@ -143,22 +143,6 @@ def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
     assert columns.count(max(set(columns), key=columns.count)) >= stage["height"] * 0.9
 
 
-@pytest.mark.everyday
-def test_messages_leave_with_esc_and_cover_no_control(page: Any) -> None:
-    page.mouse.move(*at(page, 64, 64))
-    page.evaluate("studio.fail(Array.from({ length: 4 }, (_, row) => `scene: must be right; got row ${row}`))")
-    page.locator("#message", has_text="row 3").wait_for()
-    covered = page.evaluate("""() => {
-      const over = document.querySelector("#message").getBoundingClientRect();
-      return [...document.querySelectorAll("button, input, select")].filter((control) => {
-        const box = control.getBoundingClientRect(), isBeside = box.right < over.left || box.left > over.right;
-        return control.checkVisibility() && !isBeside && box.top < over.bottom && box.bottom > over.top;
-      }).map((control) => control.id); }""")
-    assert covered == []
-    page.keyboard.press("Escape")
-    page.locator("#message").wait_for(state="hidden")
-
-
 def test_esc_leaves_a_box_so_that_letters_are_shortcuts(page: Any) -> None:
     page.locator("#dial-camera\\.f_number").click()
     page.keyboard.press("3")

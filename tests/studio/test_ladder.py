@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from numpy.typing import NDArray
 
 import clsco
 from clsco.cli.main import main
 from clsco.engine.probe import measure_frame
-from clsco.plan.prepare import prepare
+from clsco.files.transfer import encode
+from clsco.plan.prepare import prepare, with_resolution
 from clsco.studio.ladder import BUDGET, SLOW, Ladder, Ladders, choices_of, coarser, plan_line, work_of
 from tests.studio.browser import EXAMPLES
 from tests.studio.test_preview import scene
@@ -79,6 +82,19 @@ def test_a_small_picture_that_gains_nothing_is_not_taken() -> None:
         size = ladder.eighths(work)
         ladder.measured(work, size, 2.0 * BUDGET + 0.040 * (size / 8) ** 2)
     assert size >= 5
+
+
+@pytest.mark.parametrize("name", ["evening", "occlusion_three"])
+def test_previews_are_like_the_frame(name: str) -> None:
+    known = clsco.load_scene(EXAMPLES / f"{name}.toml")
+    columns, rows = size = with_resolution(known).camera.frame_size
+
+    def codes(shown: clsco.Scene) -> NDArray[np.float64]:
+        return encode(clsco.render_frame(shown, truth=(), device="pocl").color, 8, "srgb").astype(np.float64)
+
+    exact = codes(known).reshape(rows // 2, 2, columns // 2, 2, -1).mean(axis=(1, 3))
+    error = np.mean((codes(coarser(known, size, 4)).reshape(exact.shape) - exact) ** 2)
+    assert 10.0 * np.log10(255.0**2 / error) >= 35.0
 
 
 @pytest.mark.parametrize("eighths", [1, 3, 8])

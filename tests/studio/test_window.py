@@ -189,17 +189,6 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
 
 
-def test_nothing_is_cut_off(page: Any) -> None:
-    beyond = """[...document.querySelectorAll('header *, #views *, #line *, #status *, #lens-strip :not(svg *)')]
-      .filter((each) => each.getBoundingClientRect().right > innerWidth).map((each) => each.outerHTML)"""
-    for width in (1280, 1000, 800):
-        page.set_viewport_size({"width": width, "height": 720})
-        page.wait_for_function(f"innerWidth === {width}")
-        assert page.evaluate(beyond) == []
-        boxes = [button.bounding_box() for button in page.locator("header button:visible").all()]
-        assert {box["height"] for box in boxes} == {32}
-
-
 @pytest.mark.parametrize("width", [1280, pytest.param(800, marks=pytest.mark.everyday)])
 def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
     with opened(running, width) as page:
