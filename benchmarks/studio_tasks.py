@@ -115,7 +115,7 @@ class Hand:
         """Have a scene shown, which does not count."""
         self.page.locator("#scene").click()
         self.page.locator("#menu").get_by_role("button", name="Open", exact=True).click()
-        self.page.get_by_role("button", name=f"{name}.toml").first.click()
+        self.page.get_by_role("button", name=f"{name}.toml", exact=True).first.click()
         self.page.locator("dialog[open]").wait_for(state="hidden")
         self.until("studio.rung === 2")
 

@@ -86,10 +86,10 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Predictions for previews of similar scenes: a `Ladder` for previews with motion, and one for those without."""
+    """Predictions for previews of similar scenes: `of` has a `Ladder` for those with (False) and without motion."""
 
     def __init__(self) -> None:
-        self.of = {is_still: Ladder() for is_still in (False, True)}
+        self.of = {False: Ladder(), True: Ladder()}
 
     def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[bool, int]:
         """Choice of motion (True: omit it, as it needs many time samples), and eighths of a picture."""

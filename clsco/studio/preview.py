@@ -90,7 +90,7 @@ class Preview:
         self._warm: set[Any] = set()  # kinds of scenes for which kernels were compiled ahead
 
     def edited(self) -> None:
-        """Handle a change of the session; a refused value does not change the picture."""
+        """Render again if the scene has changed, and not only a refused value."""
         if self._revision != self._session.revision:
             self.changed()
 
@@ -166,10 +166,9 @@ class Preview:
             self._give_up()
 
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
-        """Call `report` with the figures of a pixel when the exact frame is ready.
+        """Call `report` with the figures for a purpose, by default those of the pixel, when the exact frame is ready.
 
-        Only the latest request with each purpose is answered. If the purpose is MEASURE, the response of the pixel's
-        source is measured instead. After `stop`, pixels under the cursor (purpose "") have no answer.
+        Only the latest request with each purpose is answered; after `stop`, no pixel under the cursor and no overview.
         """
         if self._is_stopped and purpose in ("", OVERVIEW):
             return

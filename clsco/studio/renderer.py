@@ -129,10 +129,9 @@ class RendererProcess:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel; `watch` and errors are as for `pictures`.
 
-        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds`, the time that a measurement would
-        take. If the question measures, returns instead `x`, `y`, and `response`, the figures of the response from
-        `clsco.studio.inspector.figures_of`; or `unmeasured`, the reason why it was not measured.
-        An overview returns the figures of `clsco.studio.inspector.overview`.
+        Returns those of `inspector.inspected`, and `seconds`, the time that a measurement would take; if the question
+        measures, `x`, `y`, and `response` from `inspector.figures_of`, or the reason `unmeasured` why it was not
+        measured; or those of `inspector.overview`.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
@@ -259,15 +258,12 @@ def _needed(job: PictureJob) -> Scene:
 
 @dataclass
 class _Known:
-    """A frame with all of its ground truth, kept for further questions.
-
-    is_tilted: True if weights depend on the gradient of R; seconds: time that a measurement takes.
-    """
+    """A frame with all of its ground truth, kept for further questions."""
 
     asked: tuple[Scene, int, Eye]
     frame: Any
-    is_tilted: bool
-    seconds: float
+    is_tilted: bool  # weights depend on the gradient of R
+    seconds: float  # time that a measurement takes
 
 
 class _RenderWorker:

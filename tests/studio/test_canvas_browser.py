@@ -190,7 +190,7 @@ def test_time_samples_are_counted_and_esc_ends_them(moving: Any) -> None:
     moving.wait_for_function(shown, timeout=40000)
     moving.get_by_role("tab", name="Depth").focus()  # the page is alive
     moving.keyboard.press("Escape")
-    moving.wait_for_function(f"{progress}.textContent.includes('canceled')")
+    moving.wait_for_function(f"{progress}.textContent.includes('Canceled')")
     moving.wait_for_timeout(1500)
     assert moving.locator("#badge").inner_text().startswith("preview")
     moving.evaluate("studio.set('sequence.samples', 3)")

@@ -38,7 +38,7 @@ const iris = ({ focal_length: f, aperture, opening }) => {
   const radius = 8 + 40 * Math.min((widest * aperture) / f, 1), { shape, obstruction, squeeze, image } = opening;
   const ring = (r, fill, more = {}) => ["circle", { r, fill, ...more }];
   const picture = { x: -radius, y: -radius, width: 2 * radius, height: 2 * radius, transform: `rotate(${-opening.rotation})` };
-  const parts = [ring(54, "var(--black)"), ring(radius + 3, "var(--glow)"), ...blades(opening, radius)];
+  const parts = /** @type {any[]} */ ([ring(54, "var(--black)"), ring(radius + 3, "var(--glow)"), ...blades(opening, radius)]);
   if (shape === "ring") parts.push(ring(radius * obstruction, "var(--blade)"));
   if (shape === "image") { // as bright as it lets light through
     const href = `thumbnail?tab=${studio.tab}&path=aperture.image&of=${encodeURIComponent(image)}`;

@@ -259,9 +259,7 @@ def label(field: Field, tag: str = "label", text: str = "", **attributes: Any) -
 
 
 def number(field: Field, value: Any, letter: str = "") -> None:
-    """Draw a number field: its label, or the letter of a component, and the box with its unit over a slider, if it has
-    one, whose fill is the place in the range; and a place for its message.
-    """
+    """Draw a number field: its label or letter, its box over a slider, whose fill is the place, and its message."""
     with say("div", class_="live"):
         box = f"box-{field.path}"
         if not letter:
