@@ -192,7 +192,7 @@ def test_time_samples_are_counted_and_esc_ends_them(moving: Any) -> None:
     moving.keyboard.press("Escape")
     moving.wait_for_function(f"{progress}.textContent.includes('Canceled')")
     moving.wait_for_timeout(1500)
-    assert moving.locator("#badge").inner_text().startswith("preview")
+    assert moving.locator("#badge").inner_text().startswith("Preview")
     moving.evaluate("studio.set('sequence.samples', 3)")
     rest(moving)
     assert moving.locator("#progress").is_hidden()
