@@ -20,9 +20,7 @@ LEAST = 4  # eighths; if only smaller pictures meet the budget, motion is omitte
 SMALLEST, SLOW = 3, 0.25  # eighths of the smallest picture, unless this one takes longer than SLOW s
 WORTH = 1.5  # beyond the budget, a picture may take this multiple of the time of the smallest one
 CLIMB = 1.01  # eighths by which a picture may exceed the largest one measured lately: larger ones are hard to predict
-# Bounds of the constant part of the mean time, as a fraction of it, if all pictures had one size: the upper bound; the
-# lower bound, which is used only if this size is the smallest one.
-MOST_FIXED, SMALL_FIXED = 0.9, 0.8
+MOST_FIXED = 0.9  # upper bound of the constant part of the mean time, as a fraction of it, if all pictures had one size
 LEAST_SPREAD = 0.03  # least relative spread of the numbers of pixels for which a line is fitted
 _WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # weights of the latest measurements
 _STALL = 4.0  # multiple of the prediction that counts as a stall, such as a compilation
@@ -68,9 +66,7 @@ class Ladder:
             slope = np.average((pixels - middle) * (times - mean), weights=weights) / spread
             slope = min(max(slope, (mean - times.min()) / middle), mean / middle)  # every picture takes the fixed part
         else:
-            fixed = max(self.fixed, SMALL_FIXED * mean) if eighths == 1 else self.fixed
-            least = min(fixed, MOST_FIXED * mean)
-            slope = (mean - least) / middle
+            slope = (mean - min(self.fixed, MOST_FIXED * mean)) / middle
         self.fixed, self.ns = float(mean - slope * middle), float(1e9 * slope)
 
     def bounded(self, work: float, seconds: float) -> None:

@@ -215,19 +215,10 @@ class Preview:
                 await self._ask(next(iter(self._asked)))
             elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
-                await self._besides(self._renderer.warm(self._session.scene))
+                await self._renderer.warm(self._session.scene)
             else:
                 self._news.clear()
                 await self._news.wait()
-
-    async def _besides(self, work: Awaitable[None]) -> None:
-        """Run background work, and report crashes; pictures report faults of the scene."""
-        try:
-            await work
-        except RendererEndedError as error:
-            await self.tell(error=[str(error)])
-        except ClscoError:
-            pass
 
     @property
     def _is_full(self) -> bool:
