@@ -17,9 +17,8 @@ def lens_line(scene: Scene) -> dict[str, Any]:
     """Figures for the strip, mm; infinite values are None.
 
     Returns `focus`, the distance in focus; `near` and `far`, the distances where |R| = SHARP; `focal_length`;
-    `aperture`, the diameter; `pitch`, the pixel pitch; `scale`, the distance s0 that sets the scale of the image; and
-    `nearest`, the near end of the ruler: half of the distance in focus, or nearly, so that it changes only in steps.
-    Also `opening`: the keys of [aperture] by which it is drawn.
+    `aperture`, the diameter; `nearest`, the near end of the ruler: half of the distance in focus, or nearly, so that it
+    changes only in steps; and `opening`, the keys of [aperture] by which it is drawn.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)
@@ -31,8 +30,6 @@ def lens_line(scene: Scene) -> dict[str, Any]:
         "far": 1 / (power - margin) if power > margin else math.inf,
         "focal_length": camera.focal_length,
         "aperture": camera.aperture_diameter,
-        "pitch": camera.pixel_pitch,
-        "scale": camera.normalization_distance,
         "nearest": max(2.0 ** (round(2.0 * math.log2(half)) / 2.0), NEAREST * camera.focal_length),
     }
     opening = {key: getattr(scene.aperture, key) for key in ("shape", *APERTURE_KEYS, "squeeze")}

@@ -11,7 +11,6 @@ import pytest
 
 import clsco
 from clsco.files.images import read_image
-from clsco.studio.lens import lens_line
 from tests.studio.browser import axe_faults, number, pixels, rest
 from tests.studio.test_canvas_browser import STILL, at, codes
 
@@ -97,18 +96,6 @@ def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
     assert figures == pytest.approx([dark, bright], rel=0.01, abs=1e-9)
     page.keyboard.press("3")  # depth has none
     page.wait_for_function("document.querySelector('#histogram-part').hidden")
-
-
-def test_the_scale_is_that_of_what_is_in_focus(page: Any) -> None:
-    lens = lens_line(clsco.parse_scene(STILL))
-    said = page.locator("#scale-about").inner_text()
-    length = float(said.split()[0])
-    wide = page.locator("#scale-line").bounding_box()["width"]
-    per_pixel = lens["pitch"] * lens["focus"] / 20.0
-    scale = page.evaluate("studio.viewport.scale")
-    assert wide == pytest.approx(length / per_pixel * scale, abs=3.5)
-    angle = 2 * math.degrees(math.atan(128 * lens["pitch"] / 2 / 20.0))
-    assert f"{angle:.3g}° × {angle:.3g}°" in said
 
 
 def test_focus_peaking_marks_edges_that_are_sharp(page: Any) -> None:
