@@ -44,7 +44,7 @@ from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of, from_link
-from clsco.studio.tables import is_path
+from clsco.studio.tables import at, is_path, path_parts
 from clsco.studio.widgets.html import Page
 
 MAX_HEADER = 2**18  # bytes: browsers send the cookies of all servers of this machine
@@ -371,6 +371,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "moves": session.scene.moves,
             "sensor": session.scene.sensor is not None,
             "lens": lens_line(session.scene),
+            "given": [path for path in tab.watched if at(session.table, path_parts(path)) is not None],
         }
         shown = ((path, session.shown(path)) for path in tab.watched)
         now = {path: "inf" if value == math.inf else value for path, value in shown}  # JSON has no infinity

@@ -338,10 +338,11 @@ const idle = () => {
 const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
   if (said.about) reword(one("#plan"), said.about.plan);
+  if (said.given) studio.values.given = said.given;
   if (said.values) valued(said.values);
   for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
   if (said.faults) { studio.faults = said.faults; studio.mark(); }
-  if (said.values || "moves" in said) { idle(); summed(); }
+  if (said.values || said.given) { idle(); summed(); }
   if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   for (const hear of studio.hearing) hear(said);

@@ -47,7 +47,7 @@ export const summed = () => { // the values of closed panels, and views that hav
   }
   for (const label of all("[data-default]")) { // a dot where a value is not the default
     const boxes = [...label.parentElement.querySelectorAll("[data-path]:not([type=range])")], normal = [JSON.parse(label.dataset.default)].flat(2);
-    label.toggleAttribute("data-other", boxes.some(({ dataset: { path } }, k) => path in values && values[path] !== (normal[k] ?? null)));
+    label.toggleAttribute("data-other", boxes.some(({ dataset: { path } }, k) => values.given?.includes(path) && values[path] !== (normal[k] ?? null)));
   }
   values.warps = values["motion.warp"] === "forward";
   for (const tab of all("[data-rare]")) tab.toggleAttribute("data-rare-now", !values[tab.dataset.rare]);
