@@ -145,7 +145,9 @@ const pointer = () => {
     if (found === null || isPinned || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
     point(found);
   });
-  stage.addEventListener("pointerleave", () => { if (!isPinned && at !== null) point(null); });
+  stage.addEventListener("pointerleave", () => { // but not on the way to the inspector
+    if (!isPinned && at !== null && !one("#studio").classList.contains("sided")) point(null);
+  });
   stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
     const found = studio.tool === "focus" && event.button === 0 ? studio.viewport.pixelAt(event.clientX, event.clientY) : null;
     if (found === null) return;

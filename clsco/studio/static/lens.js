@@ -33,7 +33,9 @@ const blades = ({ shape, blades: count, blade_curvature: curvature, rotation }, 
   }]);
 };
 
+let drawn = ""; // of what the iris is
 const iris = ({ focal_length: f, aperture, opening }) => {
+  if (drawn === (drawn = JSON.stringify([f, aperture, opening]))) return;
   widest = Math.min(widest, f / aperture);
   const radius = 8 + 40 * Math.min((widest * aperture) / f, 1), { shape, obstruction, squeeze, image } = opening;
   const ring = (r, fill, more = {}) => ["circle", { r, fill, ...more }];
@@ -131,7 +133,9 @@ const bars = (parts, at, base, levels, width) => { // each object from its neare
     [button.style.left, button.style.top] = [`${x}px`, `${levels[level] - 16}px`];
     names.push(button);
   }
-  one("#names").replaceChildren(...names);
+  const key = names.map((each) => each.style.cssText + each.textContent).join();
+  if (one("#names").dataset.of !== key) one("#names").replaceChildren(...names);
+  one("#names").dataset.of = key;
 };
 
 const draw = () => {
