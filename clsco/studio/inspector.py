@@ -13,7 +13,7 @@ from clsco.files.transfer import encode
 from clsco.frame.frame import GREEN, Frame
 from clsco.inputs.pupils import scene_point_spread
 from clsco.optics.exposure import middle_time, pixel_time
-from clsco.optics.lens import Lens
+from clsco.optics.lens import SHARP, Lens
 from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.motion import poses_at, rest_center
 from clsco.optics.rays import places_of, slopes_at
@@ -68,9 +68,19 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     return found
 
 
+def focus_point(frame: Frame) -> tuple[int, int]:
+    """Column and row of the pixel in focus that is nearest to the center, or else of a pixel with the least |R|."""
+    assert frame.blur_radius is not None
+    radius = np.abs(frame.blur_radius[..., GREEN] if frame.blur_radius.ndim == 3 else frame.blur_radius)
+    radius = radius if frame.mask is None else np.where(frame.mask, radius, np.inf)
+    rows, columns = np.nonzero(radius <= max(0.5 * SHARP, float(radius.min())))
+    nearest = np.argmin(np.hypot(rows - 0.5 * radius.shape[0], columns - 0.5 * radius.shape[1]))
+    return int(columns[nearest]), int(rows[nearest])
+
+
 def overview(frame: Frame, scene: Scene) -> dict[str, Any]:
-    """Small views of a frame with all ground truth, and `ranges` of the visible objects: name, depth in mm of which 1 %
-    of their pixels are nearer, and of which 99 % are, None for infinity, and mean color.
+    """Small views of a frame with all ground truth, and `ranges` of the visible objects: name, depth in mm of which 1,
+    50 and 99 % of their pixels are nearer, None for infinity, and mean color.
     """
     assert frame.depth is not None
     assert frame.object_id is not None
@@ -79,7 +89,7 @@ def overview(frame: Frame, scene: Scene) -> dict[str, Any]:
     for number, item in enumerate(scene.objects):
         seen = frame.object_id < 0 if item.is_background else frame.object_id == number
         if seen.any():
-            ends = np.percentile(frame.depth[seen], (1, 99), method="nearest")
+            ends = np.percentile(frame.depth[seen], (1, 50, 99), method="nearest")
             light = np.broadcast_to(frame.sharp[seen].mean(axis=0), 3)
             codes = encode(light / max(float(light.max()), 1e-6) * 0.7, 8, "srgb")
             name = item.name or item.shape.replace("_", " ")

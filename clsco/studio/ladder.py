@@ -1,9 +1,8 @@
-"""Chooses the size and the omitted features of previews during a drag, so that they meet a time budget."""
+"""Chooses the size of previews during a drag, and whether they show motion, so that they meet a time budget."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
 
 import numpy as np
 
@@ -13,18 +12,15 @@ from clsco.plan.memory import device_bytes
 from clsco.plan.prepare import Prepared
 from clsco.scene.model import Scene, Sequence
 
-BUDGET = 0.022  # s, so that a picture reaches the page before the next step of a drag, 33 ms later
+BUDGET = 0.040  # s; previews with silhouettes are then half as wide as the frame on two cores
 EIGHTHS = 8  # number of parts of the full width and height; sizes of pictures are counted in these
 MOST_SAMPLES = 3
 ROLLING_SHARES = 16  # rows of a preview are exposed for at least 1 / ROLLING_SHARES of the readout
-LEAST = 5  # eighths; if only smaller pictures meet the budget, more features are omitted
+LEAST = 4  # eighths; if only smaller pictures meet the budget, motion is omitted
+SMALLEST, SLOW = 3, 0.5  # eighths of the smallest picture, unless this one takes longer than SLOW s
 WORTH = 1.5  # beyond the budget, a picture may take this multiple of the time of the smallest one
 CLIMB = 1.01  # eighths by which a picture may exceed the largest one measured lately: larger ones are hard to predict
-OCCLUSION, MOTION = "occlusion", "motion"
-WAYS: tuple[tuple[str, ...], ...] = ((), (OCCLUSION,), (OCCLUSION, MOTION))  # omitted features, in the order of trial
-# Bounds of the constant part of the mean time, as a fraction of it, if all pictures had one size: the upper bound; the
-# lower bound, which is used only if this size is the smallest one.
-MOST_FIXED, SMALL_FIXED = 0.9, 0.8
+MOST_FIXED = 0.9  # upper bound of the constant part of the mean time, as a fraction of it, if all pictures had one size
 LEAST_SPREAD = 0.03  # least relative spread of the numbers of pixels for which a line is fitted
 _WEIGHTS = 0.7 ** np.arange(5, -1, -1.0)  # weights of the latest measurements
 _STALL = 4.0  # multiple of the prediction that counts as a stall, such as a compilation
@@ -48,7 +44,8 @@ class Ladder:
         most = max(BUDGET, WORTH * self.predicted(work, 1))
         largest = EIGHTHS * (max((pixels for pixels, _ in self._latest), default=work) / work) ** 0.5 + CLIMB
         known = (size for size in range(EIGHTHS, 1, -1) if size <= largest)
-        return next((size for size in known if self.predicted(work, size) <= most), 1)
+        fitting = next((size for size in known if self.predicted(work, size) <= most), 1)
+        return max(fitting, SMALLEST) if self.predicted(work, SMALLEST) <= SLOW else fitting
 
     def predicted(self, work: float, eighths: int) -> float:
         """Time of a picture of this size, s."""
@@ -69,9 +66,7 @@ class Ladder:
             slope = np.average((pixels - middle) * (times - mean), weights=weights) / spread
             slope = min(max(slope, (mean - times.min()) / middle), mean / middle)  # every picture takes the fixed part
         else:
-            fixed = max(self.fixed, SMALL_FIXED * mean) if eighths == 1 else self.fixed
-            least = min(fixed, MOST_FIXED * mean)
-            slope = (mean - least) / middle
+            slope = (mean - min(self.fixed, MOST_FIXED * mean)) / middle
         self.fixed, self.ns = float(mean - slope * middle), float(1e9 * slope)
 
     def bounded(self, work: float, seconds: float) -> None:
@@ -87,33 +82,30 @@ def _pixels(work: float, eighths: int) -> float:
 
 
 class Ladders:
-    """Predictions for previews of similar scenes: a `Ladder` for each member of WAYS."""
+    """Predictions for previews of similar scenes: `of` has a `Ladder` for those with (False) and without motion."""
 
     def __init__(self) -> None:
-        self.of = {way: Ladder() for way in WAYS}
+        self.of = {False: Ladder(), True: Ladder()}
 
-    def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[tuple[str, ...], int]:
-        """Choose a member of WAYS, which omits as few features as the budget allows, and the eighths of a picture."""
-        eighths = EIGHTHS
-        for way in ways_of(scene):
+    def choose(self, scene: Scene, size: tuple[int, int]) -> tuple[bool, int]:
+        """Choice of motion (True: omit it, as it needs many time samples), and eighths of a picture."""
+        is_still, eighths = False, EIGHTHS
+        for is_still in choices_of(scene):
             if scene.is_analytic:
-                eighths = self.of[way].eighths(work_of(scene, size, way))
+                eighths = self.of[is_still].eighths(work_of(scene, size, is_still))
             if eighths >= LEAST:
                 break
-        return way, eighths
+        return is_still, eighths
 
 
-def ways_of(scene: Scene) -> list[tuple[str, ...]]:
-    """Members of WAYS that give different previews of a scene, those with fewer omitted features first."""
-    known = scene.psf.occlusion != "none", scene.moves and not scene.rolls and _samples(scene.sequence) > 1
-    kept = {OCCLUSION: known[0], MOTION: known[1]}
-    found = {tuple(part for part in way if kept[part]): way for way in reversed(WAYS)}
-    return sorted(found.values(), key=len)
+def choices_of(scene: Scene) -> tuple[bool, ...]:
+    """False, and also True for a scene whose previews are simpler without motion."""
+    return (False, True) if scene.moves and not scene.rolls and _samples(scene.sequence) > 1 else (False,)
 
 
-def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> float:
+def work_of(scene: Scene, size: tuple[int, int], is_still: bool = False) -> float:
     """Pixels times time samples of a preview of full size; for each sample, only the rows exposed at it count."""
-    known = _preview_sequence(scene, way)
+    known = _preview_sequence(scene, is_still)
     if not scene.rolls:
         return size[0] * size[1] * (int(known.samples) if scene.moves else 1)
     camera = scene.camera.model_copy(update={"resolution": size})
@@ -122,17 +114,16 @@ def work_of(scene: Scene, size: tuple[int, int], way: Collection[str] = ()) -> f
     return subframes * size[0] * (size[1] if known.by_columns else min(rows, size[1]))
 
 
-def coarser(scene: Scene, size: tuple[int, int], eighths: int, way: Collection[str] = ()) -> Scene:
-    """The scene with the same field of view in fewer pixels, and without the features in `way`.
+def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_still: bool = False) -> Scene:
+    """The scene with the same field of view in fewer pixels; is_still: True for one time sample, in the middle.
 
     Columns and rows become `eighths` of `size`, unless the scene has depth maps, which have one value per pixel. Pixels
     at silhouettes have one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row
     has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
-    left_out = {"silhouette_samples": 1} | ({"occlusion": "none"} if OCCLUSION in way else {})
-    changes: dict[str, object] = {"psf": scene.psf.model_copy(update=left_out)}
+    changes: dict[str, object] = {"psf": scene.psf.model_copy(update={"silhouette_samples": 1})}
     if scene.moves:
-        changes["sequence"] = _preview_sequence(scene, way)
+        changes["sequence"] = _preview_sequence(scene, is_still)
     if scene.is_analytic and eighths < EIGHTHS:
         columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
         pitch = scene.camera.pixel_pitch * size[0] / columns
@@ -152,11 +143,11 @@ def _samples(known: Sequence) -> int:
     return min(known.samples, MOST_SAMPLES) if isinstance(known.samples, int) else MOST_SAMPLES
 
 
-def _preview_sequence(scene: Scene, way: Collection[str] = ()) -> Sequence:
-    """The sequence with few time samples; if `way` omits MOTION, with one in the middle."""
+def _preview_sequence(scene: Scene, is_still: bool = False) -> Sequence:
+    """The sequence with few time samples; is_still: True for one in the middle."""
     known = scene.sequence
     rolling = {"samples": 1, "shutter": max(known.shutter, known.readout / ROLLING_SHARES)}
-    few = {"samples": 1, "sampling": "midpoint"} if MOTION in way else {"samples": _samples(known)}
+    few = {"samples": 1, "sampling": "midpoint"} if is_still else {"samples": _samples(known)}
     return known.model_copy(update=rolling if scene.rolls else few)
 
 

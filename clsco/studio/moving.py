@@ -86,7 +86,7 @@ class Pointer:
         self._held: tuple[int, Grip, Camera] | None = None  # drag, object, and camera at its start
 
     def ask(self, x: int, y: int, purpose: str = "") -> None:
-        """Send the figures of a pixel, or for other purposes the response of its source or an overview."""
+        """Send the figures of a pixel (-1: the point in focus), the response of its source, or an overview."""
         name = {MEASURE: "measured", OVERVIEW: "overview"}.get(purpose, "inspected")
 
         async def report(found: dict[str, Any]) -> None:

@@ -13,15 +13,19 @@ from clsco.studio.server import Studio
 from clsco.studio.session import Document
 from clsco.studio.tables import ON_THE_STRIP
 from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialog, save_dialog, share_dialog
-from clsco.studio.widgets.html import EVENTS, Page, button, handled, icon, number_box, say, slider
+from clsco.studio.widgets.html import EVENTS, Page, button, handled, icon, label, number_box, say, slider
 from clsco.studio.widgets.inpainting import Painting
 from clsco.studio.widgets.jobs import GenerateForm, draw_jobs
 from clsco.studio.widgets.panels import draw_panels, draw_sweep
 
 LABELS = {"sharp": "All in focus", "blur radius": "Blur radius R", "normal": "Normals", "id": "Objects"}
-RARE = {"flow": "moves", "mask": "", "missing": "warps", "raw": "sensor", "noise": "sensor"}
-"""Views that are seen only where the scene has something, by its name in the page's script, or on demand."""
-STOPS = ("1.4", "2", "2.8", "4", "5.6", "8", "11", "16")
+_NO_SENSOR = ("sensor", "no sensor: add its panel")
+RARE = {
+    "flow": ("moves", "nothing moves"), "mask": ("gaps", "each pixel shows a surface"),
+    "missing": ("warps", "no forward warp"), "raw": _NO_SENSOR, "noise": _NO_SENSOR,
+}  # fmt: skip
+"""Views that have a meaning only for some scenes: the condition's name in the page's script, and why they have none."""
+STOPS = ("0.7", "1", "1.4", "2", "2.8", "4", "5.6", "8", "11", "16")
 
 
 @cache
@@ -55,7 +59,9 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
         dial = field_at(session, path)
         assert dial is not None
         parts[f"{kind} slider"] = partial(slider, dial)
-        parts[f"{kind} box"] = partial(number_box, dial, session.shown(path), f"dial-{path}")
+        text, box = {"focus": "Focus", "stop": "f/"}[kind], f"dial-{path}"
+        parts[f"{kind} label"] = partial(label, dial, text=text, for_=box, class_="quiet")
+        parts[f"{kind} box"] = partial(number_box, dial, session.shown(path), box)
     with page.current():
         for index, text in enumerate(_template()):
             if index % 2 == 0:
@@ -88,10 +94,11 @@ def _stops() -> None:
 
 def _views() -> None:
     for digit, view in enumerate(VIEWS, 1):
+        rare, why = RARE.get(view, (None, None))
         with say(
             "button", type="button", role="tab", data_view=view, aria_controls="stage",
             aria_selected="true" if view == "color" else "false", data_only="sensor" if view in SENSOR_VIEWS else None,
-            data_rare=RARE.get(view), title=f"Key {digit}" if digit < 10 else None,
+            data_rare=rare, data_why=why, title=f"Key {digit}" if digit < 10 else None,
         ):  # fmt: skip
             say("canvas", width=96, height=54, aria_hidden="true")
             say("span", LABELS.get(view, view.capitalize()))

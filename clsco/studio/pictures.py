@@ -21,7 +21,6 @@ from clsco.optics.lens_path import reference_camera
 from clsco.optics.motion import Eye, poses_at, rest_center
 from clsco.reference.common.geometry import project
 from clsco.scene.model import Scene
-from clsco.studio.ladder import MOTION, OCCLUSION
 
 VIEWS = {  # attribute of `Frame` for each view by name, in the order of the tabs
     "color": "color", "sharp": "sharp", "depth": "depth", "blur radius": "blur_radius", "flow": "flow",
@@ -31,7 +30,7 @@ VIEWS = {  # attribute of `Frame` for each view by name, in the order of the tab
 SENSOR_VIEWS = ("raw", "noise")  # views of scenes with a sensor
 UNBLURRED = ("depth", "normal", "id")  # views that do not show blur, which takes most of the time
 DRAGGING, LOSSY, EXACT, PINNED, STACKED, OUTLINED = range(6)  # rungs, see ViewPicture
-MESSAGE, JPEG, PNG, FLOAT16, FLOAT32 = range(5)
+MESSAGE, JPEG, PNG, FLOAT32 = range(4)
 HEADER = struct.Struct("<IBBHHBHHBI")
 FIELDS = ("revision", "rung", "view", "width", "height", "encoding", "columns", "rows", "flags", "number")
 """Names of the numbers in a picture's header; width, height: size of the picture; columns, rows: size of the frame."""
@@ -53,19 +52,19 @@ class ViewPicture:
     # columns and rows: of the picture (size), of the frame (full)
     size: tuple[int, int]
     full: tuple[int, int]
-    encoding: int  # JPEG or PNG, or FLOAT16 or FLOAT32: little endian, channels last
+    encoding: int  # JPEG or PNG, or FLOAT32: little endian, channels last
     payload: bytes
     seconds: float  # time that rendering took
     about: dict[str, Any] | None = None  # further figures of an exact frame, of JSON types
-    left_out: tuple[str, ...] = ()  # features that a preview omits, a member of `ladder.WAYS`
+    is_still: bool = False  # True for a preview without motion
     eye: str = ""  # "left" or "right" of a stereo pair, else ""
     small: bytes = b""  # small JPEG of an exact color image, for lists of scenes
 
     def packed(self, revision: int, number: int) -> bytes:
         """The bytes for the browser; number: number of the frame, or position in a focal stack, or NO_NUMBER."""
         view = list(VIEWS).index(self.view)
-        sizes, without = (*self.size, self.encoding, *self.full), self.left_out
-        flags = (OCCLUSION in without) | (self.eye == "right") << 1 | (MOTION in without) << 2
+        sizes = (*self.size, self.encoding, *self.full)
+        flags = self.is_still | (self.eye == "right") << 1
         return HEADER.pack(revision, self.rung, view, *sizes, flags, number) + self.payload
 
 
@@ -85,9 +84,8 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
     """Encode a view of a frame; full: columns and rows of the exact frame; seconds: time that rendering took.
 
     Images are encoded as JPEG, or, from the rung EXACT on, as the PNG that `clsco render` writes. Other views become
-    32-bit floats; in the rung DRAGGING they become 16-bit floats, except sensor codes. The blur radius (of green, if
-    there are several) is NaN without a surface, so that such pixels do not look in focus. Raises SceneError if the view
-    needs a sensor, and the scene has none.
+    32-bit floats. The blur radius (of green, if there are several) is NaN without a surface, so that such pixels do not
+    look in focus. Raises SceneError if the view needs a sensor, and the scene has none.
     """
     data = _data_of(frame, view)
     if data is None:
@@ -98,9 +96,7 @@ def picture_of(frame: Frame, scene: Scene, view: str, rung: int, full: tuple[int
         codes = encode(data, bits, scene.image.transfer)
         encoding, payload = (PNG, b"".join(png_parts(codes))) if is_exact else (JPEG, _jpeg(codes, QUALITY[rung]))
     else:
-        dtype, encoding = ("<f2", FLOAT16) if rung == DRAGGING and view != "raw" else ("<f4", FLOAT32)
-        with np.errstate(over="ignore"):  # values too large for 16 bits become infinite
-            payload = np.ascontiguousarray(data, dtype).tobytes()
+        encoding, payload = FLOAT32, np.ascontiguousarray(data, "<f4").tobytes()
     rows, columns = data.shape[:2]
     is_kept = view == "color" and rung == EXACT
     small = _jpeg(encode(_shrunk(data), 8, scene.image.transfer), QUALITY[DRAGGING]) if is_kept else b""

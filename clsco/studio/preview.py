@@ -69,6 +69,7 @@ class Preview:
 
     def __init__(self, session: Edited, renderer: Renders, send: Callable[[bytes], Awaitable[None]]) -> None:
         self._session, self._renderer, self._send = session, renderer, send
+        self._revision = session.revision
         self._view, self._index = "color", 0
         self._time: float | None = None  # time of the only time sample to show, s; None for the whole frame
         self._eye: Eye = "left"  # of a stereo pair
@@ -88,8 +89,14 @@ class Preview:
         self._outlines, self._outlined = False, 0  # True to send object numbers; state for which they were sent
         self._warm: set[Any] = set()  # kinds of scenes for which kernels were compiled ahead
 
+    def edited(self) -> None:
+        """Render again if the scene has changed, and not only a refused value."""
+        if self._revision != self._session.revision:
+            self.changed()
+
     def changed(self) -> None:
-        """Handle a change of the session's scene."""
+        """Render again."""
+        self._revision = self._session.revision
         self._state += 1
         self._is_stopped = False
         self._changed_at, self._crashes = _now(), 0
@@ -159,10 +166,9 @@ class Preview:
             self._give_up()
 
     def inspect(self, x: int, y: int, report: Report, purpose: str = "") -> None:
-        """Call `report` with the figures of a pixel when the exact frame is ready.
+        """Call `report` with the figures for a purpose, by default those of the pixel, when the exact frame is ready.
 
-        Only the latest request with each purpose is answered. If the purpose is MEASURE, the response of the pixel's
-        source is measured instead. After `stop`, pixels under the cursor (purpose "") have no answer.
+        Only the latest request with each purpose is answered; after `stop`, no pixel under the cursor and no overview.
         """
         if self._is_stopped and purpose in ("", OVERVIEW):
             return
@@ -209,19 +215,10 @@ class Preview:
                 await self._ask(next(iter(self._asked)))
             elif (kind := kind_of(self._session.scene)) not in self._warm:
                 self._warm.add(kind)
-                await self._besides(self._renderer.warm(self._session.scene))
+                await self._renderer.warm(self._session.scene)
             else:
                 self._news.clear()
                 await self._news.wait()
-
-    async def _besides(self, work: Awaitable[None]) -> None:
-        """Run background work, and report crashes; pictures report faults of the scene."""
-        try:
-            await work
-        except RendererEndedError as error:
-            await self.tell(error=[str(error)])
-        except ClscoError:
-            pass
 
     @property
     def _is_full(self) -> bool:

@@ -9,7 +9,6 @@ import traceback
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import aclosing, suppress
 from dataclasses import dataclass, replace
-from itertools import chain
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -23,8 +22,8 @@ from clsco.plan.prepare import prepare, with_resolution
 from clsco.plan.request import Request
 from clsco.resources import machine_bytes
 from clsco.scene.model import Scene
-from clsco.studio.inspector import figures_of, inspected, overview, source_of
-from clsco.studio.ladder import Ladders, coarser, plan_line, unblurred, ways_of, work_of
+from clsco.studio.inspector import figures_of, focus_point, inspected, overview, source_of
+from clsco.studio.ladder import Ladders, choices_of, coarser, plan_line, unblurred, work_of
 from clsco.studio.pictures import (
     DRAGGING,
     EXACT,
@@ -38,7 +37,8 @@ from clsco.studio.pictures import (
 )  # fmt: skip
 
 TICK = 0.5  # s between reports on long work
-REHEARSED = (2, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
+REHEARSED = (3, 4)  # eighths of the pictures that are rendered ahead, twice: the first of a size allocates buffers
+POINT = "depth", "blur_radius", "object_id", "mask", "normal"  # outputs of exact frames, for the point in focus
 PATIENCE = 1.0  # s that one of these pictures may take
 SILENCE = 30.0  # s without an answer or report after which the process is killed, as it is stopped, or its driver hangs
 
@@ -66,6 +66,7 @@ class Question:
 
     scene: Scene
     index: int
+    # x, y: pixel; -1 for the point in focus
     x: int
     y: int
     eye: Eye = "left"
@@ -83,7 +84,7 @@ class RenderProgress:
     """Progress of long work."""
 
     doing: str  # current work: a pass, a compilation, or work for another tab
-    # done, total: time samples
+    # done, total: time samples; of a compilation, kernels
     done: int
     total: int
     still: float  # s since any of these last changed
@@ -128,10 +129,9 @@ class RendererProcess:
     async def inspect(self, question: Question, watch: Watch | None = None) -> dict[str, Any]:
         """Ask for the figures of a pixel; `watch` and errors are as for `pictures`.
 
-        Returns the figures of `clsco.studio.inspector.inspected`, and `seconds`, the time that a measurement would
-        take. If the question measures, returns instead `x`, `y`, and `response`, the figures of the response from
-        `clsco.studio.inspector.figures_of`; or `unmeasured`, the reason why it was not measured.
-        An overview returns the figures of `clsco.studio.inspector.overview`.
+        Returns those of `inspector.inspected`, and `seconds`, the time that a measurement would take; if the question
+        measures, `x`, `y`, and `response` from `inspector.figures_of`, or the reason `unmeasured` why it was not
+        measured; or those of `inspector.overview`.
         """
         async with aclosing(self._ask("inspect", question, watch)) as answers:
             return await anext(answers)
@@ -258,15 +258,12 @@ def _needed(job: PictureJob) -> Scene:
 
 @dataclass
 class _Known:
-    """A frame with all of its ground truth, kept for further questions.
-
-    is_tilted: True if weights depend on the gradient of R; seconds: time that a measurement takes.
-    """
+    """A frame with all of its ground truth, kept for further questions."""
 
     asked: tuple[Scene, int, Eye]
     frame: Any
-    is_tilted: bool
-    seconds: float
+    is_tilted: bool  # weights depend on the gradient of R
+    seconds: float  # time that a measurement takes
 
 
 class _RenderWorker:
@@ -343,6 +340,9 @@ class _RenderWorker:
             found = RenderProgress("starting the device", 0, 0, 0.0)
             if progress is not None:
                 found = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
+                if progress.doing.startswith("compiling"):  # kernels of all programs, of which few are not needed
+                    compiled, programs = tuple(live.session.compiled), tuple(live.session.programs.values())
+                    found = replace(found, done=len({shape[0] for shape in compiled}), total=sum(map(len, programs)))
             if before != (current, found):
                 before, since = (current, found), now
             with suppress(OSError):
@@ -353,35 +353,37 @@ class _RenderWorker:
         self._send(number, self._coarse_picture(job, size, *self._ladders_of(job).choose(_needed(job), size)))
 
     def _coarse_picture(
-        self, job: PictureJob, size: tuple[int, int], way: tuple[str, ...], eighths: int, learns: bool = True
+        self, job: PictureJob, size: tuple[int, int], is_still: bool, eighths: int, learns: bool = True
     ) -> ViewPicture:
         """Render a preview; learns: True to learn from its time."""
         exact, start = _needed(job), time.perf_counter()
-        scene = coarser(exact, size, eighths, way)
+        scene = coarser(exact, size, eighths, is_still)
         frame = self._frame(scene, job, truth_of(job.view))
         picture = picture_of(frame, scene, job.view, DRAGGING, size, time.perf_counter() - start)
         if learns:
-            self._ladders_of(job).of[way].measured(work_of(exact, size, way), eighths, time.perf_counter() - start)
-        return replace(picture, left_out=tuple(set(way) & set(chain(*ways_of(exact)))))
+            work = work_of(exact, size, is_still)
+            self._ladders_of(job).of[is_still].measured(work, eighths, time.perf_counter() - start)
+        return replace(picture, is_still=is_still)
 
     def _rehearse(self, job: PictureJob) -> None:
         size, ladders, exact = with_resolution(job.scene).camera.frame_size, self._ladders_of(job), _needed(job)
-        for way in ways_of(exact):
-            ladder, work = ladders.of[way], work_of(exact, size, way)
+        for is_still in choices_of(exact):
+            ladder, work = ladders.of[is_still], work_of(exact, size, is_still)
             if job.took:
                 ladder.bounded(work, job.took)
             for eighths in REHEARSED:
                 if ladder.predicted(work, eighths) <= PATIENCE:
                     for learns in (False, True):
-                        self._coarse_picture(job, size, way, eighths, learns)
+                        self._coarse_picture(job, size, is_still, eighths, learns)
 
     def _exact(self, number: int, job: PictureJob) -> None:
         self._check(number)
         start = time.perf_counter()
         scene = _needed(job)
-        frame = self._frame(scene, job, truth_of(job.view))
+        truth = truth_of(job.view) + POINT * (job.rung == EXACT and scene is job.scene)
+        frame = self._frame(scene, job, tuple(dict.fromkeys(truth)))
         seconds, (rows, columns) = time.perf_counter() - start, frame.color.shape[:2]
-        self._ladders_of(job).of[()].bounded(work_of(scene, (columns, rows)), seconds)
+        self._ladders_of(job).of[False].bounded(work_of(scene, (columns, rows)), seconds)
         rungs = (LOSSY, EXACT) if job.view in IMAGES and job.rung == EXACT else (job.rung,)
         for rung in rungs:
             self._check(number)
@@ -395,7 +397,11 @@ class _RenderWorker:
         prepared = prepare(rendered, request, device, files)
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
         took = sum(frame.metadata["seconds"].values()) * len(whole.plans) if rendered is job.scene else None
-        return {"plan": plan_line(prepared, seconds), "took": took} | exposure_of(frame, job.scene, whole.plan.samples)
+        found = {"plan": plan_line(prepared, seconds), "took": took} | exposure_of(frame, job.scene, whole.plan.samples)
+        if rendered is job.scene:
+            is_tilted = whole.plan.tilt and whole.plan.occlusion != "layered"
+            found["point"] = inspected(frame, job.scene, *focus_point(frame), is_tilted)
+        return found
 
     def _ladders_of(self, job: PictureJob) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
@@ -406,6 +412,7 @@ class _RenderWorker:
             return overview(known.frame, scene)
         rows, columns = known.frame.color.shape[:2]
         x, y = min(question.x, columns - 1), min(question.y, rows - 1)
+        x, y = (x, y) if x >= 0 else focus_point(known.frame)
         if not question.measures:
             return inspected(known.frame, scene, x, y, known.is_tilted) | {"seconds": known.seconds}
         source = source_of(known.frame, scene, x, y)

@@ -26,7 +26,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from clsco.errors import FileError, SceneError
+from clsco.errors import ClscoError, FileError, SceneError
 from clsco.scene.model import Scene
 from clsco.studio.background import keep_running
 from clsco.studio.generate import stack_scenes
@@ -36,13 +36,15 @@ from clsco.studio.keyframes import add_keyframe, remove_keyframe, tracks
 from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
+from clsco.studio.pictures import EXACT
 from clsco.studio.presets import FIRST, choose_method, load_preset
 from clsco.studio.preview import MEASURE, OVERVIEW, Preview
+from clsco.studio.renderer import PictureJob
 from clsco.studio.renderers import Renderers
 from clsco.studio.routes import Addresses
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of, from_link
-from clsco.studio.tables import is_path
+from clsco.studio.tables import at, is_path, path_parts
 from clsco.studio.widgets.html import Page
 
 MAX_HEADER = 2**18  # bytes: browsers send the cookies of all servers of this machine
@@ -188,7 +190,7 @@ class Studio:
 
         preview = tab.preview = Preview(tab.session, self.renderer, send)
         pointer = Pointer(tab.session, preview)
-        endings = [tab.session.subscribe(listener) for listener in (preview.changed, tab.told.set)]
+        endings = [tab.session.subscribe(listener) for listener in (preview.edited, tab.told.set)]
 
         async def report(messages: list[str]) -> None:
             with suppress(WebSocketDisconnect):
@@ -282,6 +284,8 @@ def _point(pointer: Pointer, said: dict[str, Any]) -> bool:
     match said:
         case {"at": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y)
+        case {"at": None}:
+            pointer.ask(-1, -1)
         case {"measure": [int(x), int(y)]} if min(x, y) >= 0:
             pointer.ask(x, y, MEASURE)
         case {"overview": True}:
@@ -367,6 +371,7 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             "moves": session.scene.moves,
             "sensor": session.scene.sensor is not None,
             "lens": lens_line(session.scene),
+            "given": [path for path in tab.watched if at(session.table, path_parts(path)) is not None],
         }
         shown = ((path, session.shown(path)) for path in tab.watched)
         now = {path: "inf" if value == math.inf else value for path, value in shown}  # JSON has no infinity
@@ -433,19 +438,26 @@ def serve(studio: Studio, host: str, port: int, draw: Draw, show: Callable[[str]
     )  # fmt: skip
     server = uvicorn.Server(config)
 
+    async def open_browser() -> None:
+        """Open the browser once the first scene is compiled, so that it opens with a picture."""
+        with suppress(ClscoError):  # pictures report faults of the scene
+            job = PictureJob(studio.new_session().scene, 0, "color", EXACT)
+            _ = [picture async for picture in studio.renderer.pictures(job)]
+        state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
+        address = (state.path / OPENING).as_uri()
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # never awaited
+
     async def run() -> None:
         serving = asyncio.create_task(server.serve([listener]))
         while not (server.started or serving.done()):
             await asyncio.sleep(0.01)
         show(f"http://{shown}:{port}/?t={token}")  # from here on Ctrl-C is the server's
-        if opens_browser:
-            state.write(OPENING, _OPENING.format(address=f"http://{shown}:{port}/?c={guard.new_code()}").encode())
-            address = (state.path / OPENING).as_uri()
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # never awaited
+        opening = asyncio.create_task(open_browser() if opens_browser else asyncio.sleep(0))
         connections = server.server_state.connections
         closing = asyncio.create_task(keep_running(partial(close_half_open, connections), studio.report))
         await serving
         closing.cancel()
+        opening.cancel()
 
     gc.collect()
     gc.freeze()  # later collections skip all permanent objects

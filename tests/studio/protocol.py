@@ -10,7 +10,7 @@ from clsco.studio import pictures
 
 MODULE = Path(pictures.__file__).parent / "static/protocol.js"
 RUNGS = ("DRAGGING", "LOSSY", "EXACT", "PINNED", "STACKED", "OUTLINED")
-ENCODINGS = ("MESSAGE", "JPEG", "PNG", "FLOAT16", "FLOAT32")
+ENCODINGS = ("MESSAGE", "JPEG", "PNG", "FLOAT32")
 READERS = {"B": "getUint8({})", "H": "getUint16({}, true)", "I": "getUint32({}, true)"}
 
 
@@ -46,8 +46,7 @@ def protocol() -> str:
         "export const opened = (buffer) => {",
         "  const { view, columns, rows, flags, ...rest } = header(buffer);",
         "  const picture = {",
-        "    ...rest, view: VIEWS[view], full: [columns, rows], right: Boolean(flags & 2),",
-        '    without: ["occlusion", "", "motion"].filter((name, bit) => name && flags & (1 << bit)),',
+        "    ...rest, view: VIEWS[view], full: [columns, rows], right: Boolean(flags & 2), still: Boolean(flags & 1),",
         "  };",
         "  return { picture, payload: new Uint8Array(buffer, HEAD) };",
         "};",

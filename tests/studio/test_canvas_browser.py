@@ -171,7 +171,7 @@ def test_a_time_sample_is_seen_alone(moving: Any) -> None:
 def test_frames_are_played_from_what_came(moving: Any) -> None:
     scene = clsco.parse_scene(SCENE)
     moving.locator("#play").click()
-    moving.wait_for_function("document.querySelector('#badge').textContent === 'played'", timeout=20000)
+    moving.wait_for_function("document.querySelector('#badge').textContent === 'Played'", timeout=20000)
     assert moving.locator("#play").get_attribute("aria-pressed") == "true"
     seen = set()
     for _ in range(40):
@@ -190,9 +190,9 @@ def test_time_samples_are_counted_and_esc_ends_them(moving: Any) -> None:
     moving.wait_for_function(shown, timeout=40000)
     moving.get_by_role("tab", name="Depth").focus()  # the page is alive
     moving.keyboard.press("Escape")
-    moving.wait_for_function(f"{progress}.textContent.includes('canceled')")
+    moving.wait_for_function(f"{progress}.textContent.includes('Canceled')")
     moving.wait_for_timeout(1500)
-    assert moving.locator("#badge").inner_text().startswith("preview")
+    assert moving.locator("#badge").inner_text().startswith("Preview")
     moving.evaluate("studio.set('sequence.samples', 3)")
     rest(moving)
     assert moving.locator("#progress").is_hidden()
@@ -204,10 +204,10 @@ def test_motion_is_shown_as_arrows(moving: Any) -> None:
       let count = 0;
       for (let k = 0; k < data.length; k += 4) count += data[k] > 200 && data[k + 2] < 120 && data[k + 3] > 200;
       return count; }"""
-    assert moving.evaluate(drawn) == 0
+    before = moving.evaluate(drawn)  # the ring about the point
     moving.locator("#shown summary").click()
     moving.locator("#arrows").check()
-    moving.wait_for_function(f"({drawn})() > 30", timeout=5000)  # by the next animation frame
+    moving.wait_for_function(f"({drawn})() > {before} + 30", timeout=5000)  # by the next animation frame
 
 
 def test_a_focal_stack_is_looked_through(page: Any) -> None:

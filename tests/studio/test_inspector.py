@@ -78,8 +78,8 @@ def test_an_overview_has_depths_of_the_objects_and_small_views() -> None:
     frame: Any = clsco.render_frame(scene)
     found = overview(frame, scene)
     assert [entry[0] for entry in found["ranges"]] == ["Ball", "Plane"]
-    for number, (_, *ends, _) in enumerate(found["ranges"]):
-        assert ends == pytest.approx(np.percentile(frame.depth[frame.object_id == number], (1, 99)), rel=2e-3)
+    for number, (_, *depths, _) in enumerate(found["ranges"]):
+        assert depths == pytest.approx(np.percentile(frame.depth[frame.object_id == number], (1, 50, 99)), rel=2e-3)
     columns, rows, text = found["views"]["depth"]
     assert np.array_equal(np.frombuffer(base64.b64decode(text), "<f4").reshape(rows, columns), frame.depth)
 

@@ -11,7 +11,6 @@ import pytest
 
 import clsco
 from clsco.files.images import read_image
-from clsco.studio.lens import lens_line
 from tests.studio.browser import axe_faults, number, pixels, rest
 from tests.studio.test_canvas_browser import STILL, at, codes, seen
 
@@ -99,18 +98,6 @@ def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
     page.wait_for_function("document.querySelector('#histogram-part').hidden")
 
 
-def test_the_scale_is_that_of_what_is_in_focus(page: Any) -> None:
-    lens = lens_line(clsco.parse_scene(STILL))
-    said = page.locator("#scale-about").inner_text()
-    length = float(said.split()[0])
-    wide = page.locator("#scale-line").bounding_box()["width"]
-    per_pixel = lens["pitch"] * lens["focus"] / 20.0
-    scale = page.evaluate("studio.viewport.scale")
-    assert wide == pytest.approx(length / per_pixel * scale, abs=3.5)
-    angle = 2 * math.degrees(math.atan(128 * lens["pitch"] / 2 / 20.0))
-    assert f"{angle:.3g}° × {angle:.3g}°" in said
-
-
 def test_focus_peaking_marks_edges_that_are_sharp(page: Any) -> None:
     assert page.evaluate(COLORED, RED) == []
     page.locator("#shown summary").click()
@@ -126,7 +113,7 @@ def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
     page.locator("#shown summary").click()
     with page.expect_download() as waits:
         page.locator("#save-picture").click()
-    assert waits.value.suggested_filename == "untitled-color-exact_of_these_values.png"
+    assert waits.value.suggested_filename == "untitled-color-Exact.png"
     waits.value.save_as(tmp_path / "picture.png")
     assert np.array_equal(read_image(tmp_path / "picture.png").data[..., :3], pixels(page))
 
@@ -148,22 +135,6 @@ def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
     page.locator("#then", has_text=f"difference × 8: at most {np.abs(pixels(page) - before).max()} of 255").wait_for()
     page.keyboard.press("p")
     page.locator("#pinned").wait_for(state="hidden")
-
-
-@pytest.mark.everyday
-def test_messages_leave_with_esc_and_cover_no_control(page: Any) -> None:
-    page.mouse.move(*at(page, 64, 64))
-    page.evaluate("studio.fail(Array.from({ length: 4 }, (_, row) => `scene: must be right; got row ${row}`))")
-    page.locator("#message", has_text="row 3").wait_for()
-    covered = page.evaluate("""() => {
-      const over = document.querySelector("#message").getBoundingClientRect();
-      return [...document.querySelectorAll("button, input, select")].filter((control) => {
-        const box = control.getBoundingClientRect(), isBeside = box.right < over.left || box.left > over.right;
-        return control.checkVisibility() && !isBeside && box.top < over.bottom && box.bottom > over.top;
-      }).map((control) => control.id); }""")
-    assert covered == []
-    page.keyboard.press("Escape")
-    page.locator("#message").wait_for(state="hidden")
 
 
 def test_esc_leaves_a_box_so_that_letters_are_shortcuts(page: Any) -> None:

@@ -10,7 +10,7 @@ import clsco
 from clsco.optics.lens import SHARP
 from clsco.studio.forms import PLACES
 from clsco.studio.lens import lens_line
-from tests.studio.browser import SMALL, axe_faults, box, from_menu, opened, rest, type_in, unfold
+from tests.studio.browser import SMALL, axe_faults, box, from_menu, opened, type_in, unfold
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
@@ -42,13 +42,10 @@ def test_the_lens_is_at_hand_above_the_picture(page: Any) -> None:
     scene = scene.replace("camera.focus_distance", 233.4567).replace("camera.f_number", 2.8)
     near, far = (lens_line(scene)[end] for end in ("near", "far"))
     page.wait_for_function(f"document.querySelector('#in-focus').textContent.includes('{near:.3g} to {far:.3g} mm')")
-    rest(page)
-    page.locator("#focus").click()
-    place = page.locator("#canvas").bounding_box()
-    page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
-    (plane,) = scene.objects
-    assert isinstance(plane, clsco.Plane)
-    page.wait_for_function(f"studio.values['camera.focus_distance'] === {plane.distance}")
+    assert not page.locator("[data-stop='1']").is_visible()
+    page.evaluate("(studio.set('aperture.shape', 'polygon'), studio.set('camera.f_number', 1))")
+    page.locator("[data-stop='1'][aria-checked=true]").wait_for()
+    assert page.locator("#blades path").count() == clsco.Aperture().blades
     assert axe_faults(page) == []
 
 

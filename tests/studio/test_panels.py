@@ -64,33 +64,6 @@ def test_a_motion_that_is_not_chosen_is_none(page: Any) -> None:
     assert box(page, "object.0.motion.velocity.0").input_value() == "0"
 
 
-def test_reset_leaves_the_image(page: Any) -> None:
-    choose(page, "Spherical")
-    box(page, "object.0.texture").fill("damaged.png")
-    box(page, "object.0.texture").blur()
-    type_in(page, "camera.focal_length", "25")
-    page.locator("#reset").click()
-    box(page, "object.0.distance").wait_for(timeout=20000)
-    page.wait_for_function("studio.values['camera.focal_length'] === 20", timeout=20000)
-    assert box(page, "object.0.texture").input_value() == "damaged.png"
-    assert number(page, "camera.focal_length") == 20
-    page.locator("#undo").click()
-    box(page, "object.0.radius").wait_for(timeout=20000)
-    page.wait_for_function("studio.values['camera.focal_length'] === 25", timeout=20000)
-
-
-def test_a_wrong_value_stays_in_its_box_with_its_message(page: Any) -> None:
-    type_in(page, "camera.focal_length", "-3")
-    fault = page.locator('[data-fault="camera.focal_length"]')
-    fault.wait_for(state="visible", timeout=20000)
-    assert "got -3" in fault.inner_text()
-    assert box(page, "camera.focal_length").input_value() == "-3"
-    assert box(page, "camera.focal_length").get_attribute("aria-invalid") == "true"
-    type_in(page, "camera.focal_length", "22")
-    fault.wait_for(state="hidden", timeout=20000)
-    assert not page.evaluate("document.querySelector('#badge').textContent === ''")
-
-
 @pytest.mark.parametrize(
     "label", [pytest.param(label, marks=pytest.mark.everyday if label == "Conical" else ()) for label in SHAPES]
 )

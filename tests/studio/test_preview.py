@@ -42,7 +42,6 @@ class Renderer:
     faults: list[ClscoError] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
     warmed: list[Scene] = field(default_factory=list)
-    ends: list[ClscoError] = field(default_factory=list)  # while it warms up
 
     async def pictures(self, job: PictureJob, watch: Watch | None = None) -> AsyncGenerator[ViewPicture, None]:
         self.jobs.append(job)
@@ -66,8 +65,6 @@ class Renderer:
 
     async def warm(self, scene: Scene) -> None:
         self.warmed.append(scene)
-        if self.ends:
-            raise self.ends.pop()
 
     def cancel(self) -> None:
         self.canceled += 1
@@ -371,7 +368,3 @@ def test_a_renderer_that_ends_is_asked_again_but_not_for_ever() -> None:
     assert browser.got[-1] == (0, EXACT)
     _, renders, browser = played(rests, faults=[RendererEndedError("ended") for _ in range(9)])
     assert len(renders.jobs) == 3
-    _, _, browser = played(rests, ends=[RendererEndedError("ended")])  # when nobody waits for it
-    assert browser.said == [{"error": ["ended"]}]
-    _, _, browser = played(rests, ends=[SceneError("scene: must fit; got none")])  # which pictures report
-    assert browser.said == []

@@ -36,7 +36,7 @@ WALK = """async ([path, value, wait, paths]) => {
   do {
     await new Promise(requestAnimationFrame); // what is seen
     const badge = document.querySelector("#badge").textContent;
-    isExact = badge === "exact of these values";
+    isExact = badge === "Exact";
     if (isExact) {
       const boxes = JSON.stringify(paths.map((name) => box(name).value));
       const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);

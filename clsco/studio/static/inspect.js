@@ -9,10 +9,11 @@ const PLOTTED = 32; // px from the middle of a plot to its border
 
 // ---- values under the cursor ------------------------------------------------------------------------------------
 /** @type {[number, number] | null} */
-let at = null;
+let at = null; // null: the point in focus
+let isPinned = false; // by a click
 let asked = false, again = false, drag = 1e6, idle = 0;
 const ask = () => {
-  if (at === null || studio.isCanceled()) return;
+  if (studio.isCanceled()) return;
   if (asked) { again = true; return; }
   asked = true;
   studio.send({ at });
@@ -55,7 +56,21 @@ const inspected = ({ values, psf, unmeasured, seconds }) => {
 };
 studio.notInspected = () => { asked = false; };
 
+const point = (pixel, pinned = false) => {
+  [at, isPinned] = [pixel, pinned];
+  clearTimeout(timer);
+  ask();
+};
+studio.pin = (pixel) => { if (pixel || isPinned) point(pixel, pixel !== null); };
+studio.isPinned = () => isPinned;
+
 studio.hearing.push((said) => {
+  const found = said.about?.point;
+  if (found && at === null) { // it comes with an exact frame
+    model = found.psf;
+    studio.describe(found.values);
+    spread();
+  }
   if (said.inspected) inspected(said.inspected);
   if (said.measured) measured(said.measured);
 });
@@ -127,10 +142,11 @@ const pointer = () => {
   const stage = one("#stage");
   stage.addEventListener("pointermove", (event) => {
     const found = studio.viewport.pixelAt(event.clientX, event.clientY);
-    if (found === null || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
-    at = found;
-    clearTimeout(timer);
-    ask();
+    if (found === null || isPinned || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
+    point(found);
+  });
+  stage.addEventListener("pointerleave", () => { // but not on the way to the inspector
+    if (!isPinned && at !== null && !one("#studio").classList.contains("sided")) point(null);
   });
   stage.addEventListener("pointerdown", (event) => { // a click has whole coordinates, which may be of another pixel
     const found = studio.tool === "focus" && event.button === 0 ? studio.viewport.pixelAt(event.clientX, event.clientY) : null;
@@ -140,9 +156,7 @@ const pointer = () => {
     studio.take("");
   });
 };
-studio.rested = () => { // before the pointer was in the picture, of its middle; and, once nothing changes, of the whole frame
-  const { width, height } = one("#canvas");
-  at ??= [Math.floor(width / 2), Math.floor(height / 2)];
+studio.rested = () => { // of the point; and, once nothing changes, of the whole frame
   ask();
   clearTimeout(idle);
   idle = setTimeout(() => { if (studio.rung === RUNG.EXACT && !studio.isCanceled()) studio.send({ overview: true }); }, IDLE);

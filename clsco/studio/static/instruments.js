@@ -1,13 +1,11 @@
-// Instruments beside and over the picture: histogram with clipping, focus peaking, scale bar, outline of an object, wipe.
+// Instruments beside and over the picture: histogram with clipping, focus peaking, outline of an object, wipe.
 
 import "./handles.js";
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
-import { on, one, problem, reword, studio } from "./shared.js";
+import { on, one, problem, studio } from "./shared.js";
 
-const BAR = 140; // px that a scale bar has at most
 const PEAK = 40; // codes by which a pixel differs from the mean of those around it, where it is in focus
-const DEGREE = Math.PI / 180;
 
 const isImage = () => studio.view === "color" || studio.view === "sharp";
 const codes = () => { // of what is seen: the frame, the step of a stack in its place, or the pinned frame without a wipe
@@ -118,7 +116,7 @@ const clicks = () => {
   stage.addEventListener("click", (event) => {
     const moved = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 3;
     awaited = moved || studio.tool ? null : studio.viewport.pixelAt(event.clientX, event.clientY);
-    if (awaited) studio.send({ at: awaited });
+    if (awaited) studio.pin(awaited);
   });
 };
 
@@ -128,18 +126,6 @@ studio.hearing.push((said) => {
   awaited = null;
   choose(object ?? -1);
 });
-
-// ---- scale bar and field of view, at the distance in focus ----------------------------------------------------------
-const measured = () => {
-  const { lens, viewport } = studio, canvas = one("#canvas"), place = one("#scale-bar");
-  place.hidden = !lens || lens.focus === null;
-  if (place.hidden) return;
-  const perPixel = (lens.pitch * lens.focus) / lens.scale, most = (BAR / viewport.scale) * perPixel;
-  const power = 10 ** Math.floor(Math.log10(most)), long = power * ([5, 2, 1].find((factor) => factor * power <= most) ?? 1);
-  one("#scale-line").style.width = `${(long / perPixel) * viewport.scale}px`;
-  const angle = (count) => brief(Number((2 * Math.atan((count * lens.pitch) / 2 / lens.scale) / DEGREE).toPrecision(3)));
-  reword(one("#scale-about"), `${brief(long)} mm in focus; field ${angle(canvas.width)}° × ${angle(canvas.height)}°`);
-};
 
 // ---- this picture, as it is shown -------------------------------------------------------------------------------------
 const picture = () => new Promise((done) => { one("#canvas").toBlob(done, "image/png"); });
@@ -172,7 +158,6 @@ studio.measure = () => { // after each picture; while something is dragged, code
 studio.overlays.push((context) => {
   peaks.draw(context);
   outline.draw(context);
-  measured();
 });
 
 studio.parts.push(() => {
@@ -181,8 +166,9 @@ studio.parts.push(() => {
   one("#save-picture").addEventListener("click", save);
   one("#copy-picture").addEventListener("click", copy);
   on("keydown", (event) => {
-    if (event.key !== "Escape" || chosen < 0 || one("dialog[open]")) return;
-    choose(-1);
+    if (event.key !== "Escape" || one("dialog[open]")) return;
+    if (chosen >= 0) choose(-1);
+    studio.pin(null);
     studio.viewport.changed();
   });
 });

@@ -1,11 +1,11 @@
 // The strip of the lens: iris, ruler of depth with the V of the blur, and the point in the picture.
 
 import { brief, placeOf } from "./scales.js";
-import { all, one, reword, studio } from "./shared.js";
+import { all, made, one, reword, stroked, studio } from "./shared.js";
 
 const SHARP = 0.5; // px, |R| below which a point is in focus
 const TOP = 40; // px of blur disc up to which the V is drawn to scale
-const BLADES = 9, WIDEST = 1.4;
+const ROUND = 12, WIDEST = 1.4; // blades of a round iris; stops below are shown where the scene has them
 const FOCUS = "camera.focus_distance", STOP = "camera.f_number";
 const rounded = (value) => brief(Number(value.toPrecision(Math.max(3, Math.ceil(Math.log10(value))))));
 const marked = (value) => (value >= 1000 ? `${brief(Number((value / 1000).toPrecision(2)))} m` : brief(Number(value.toPrecision(3))));
@@ -19,24 +19,49 @@ const svg = (parts) => parts.map(([tag, attributes, text = ""]) => {
 });
 
 // ---- iris -------------------------------------------------------------------------------------------------------
-const iris = ({ focal_length: f, aperture }) => {
-  const open = Math.min((WIDEST * aperture) / f, 1), radius = 8 + 40 * open, flat = radius * Math.cos(Math.PI / BLADES);
-  const blades = Array.from({ length: BLADES }, (_, k) => ["path", {
-    d: `M ${flat} -34 L ${flat} 34 L 54 34 L 54 -34 Z`, transform: `rotate(${(360 * k) / BLADES + 60 * (1 - open)})`, fill: "var(--blade)",
-    stroke: "var(--blade-edge)", "stroke-width": 0.8,
+const BEYOND = 60; // where blades end
+let widest = WIDEST; // least f-number that was seen
+
+/** Blades, each from corner to corner of its edge, and on along it: those of a polygon, or many round ones. */
+const blades = ({ shape, blades: count, blade_curvature: curvature, rotation }, radius) => {
+  const [n, bulge, turn] = shape === "polygon" ? [count, curvature, rotation] : [ROUND, 1, 0], half = Math.PI / n;
+  const chord = 2 * radius * Math.sin(half), arc = chord / 2 / Math.sin(2 * Math.atan(Math.abs(bulge) * Math.tan(half / 2)));
+  const edge = bulge ? `A ${arc} ${arc} 0 0 ${Number(bulge > 0)}` : "L", x = radius * Math.cos(half), y = chord / 2;
+  return Array.from({ length: n }, (_, k) => ["path", {
+    d: `M ${x} ${-y} ${edge} ${x} ${y} L ${x} ${BEYOND} L ${BEYOND} ${BEYOND} L ${BEYOND} ${-y} Z`,
+    transform: `rotate(${-turn - (360 * k) / n})`, fill: "var(--blade)", stroke: "var(--blade-edge)", "stroke-width": 0.8,
   }]);
-  const ring = (r, attributes) => ["circle", { r, ...attributes }];
+};
+
+let drawn = ""; // of what the iris is
+const iris = ({ focal_length: f, aperture, opening }) => {
+  if (drawn === (drawn = JSON.stringify([f, aperture, opening]))) return;
+  widest = Math.min(widest, f / aperture);
+  const radius = 8 + 40 * Math.min((widest * aperture) / f, 1), { shape, obstruction, squeeze, image } = opening;
+  const ring = (r, fill, more = {}) => ["circle", { r, fill, ...more }];
+  const picture = { x: -radius, y: -radius, width: 2 * radius, height: 2 * radius, transform: `rotate(${-opening.rotation})` };
+  const parts = /** @type {any[]} */ ([ring(54, "var(--black)"), ring(radius + 3, "var(--glow)"), ...blades(opening, radius)]);
+  if (shape === "ring") parts.push(ring(radius * obstruction, "var(--blade)"));
+  if (shape === "image") { // as bright as it lets light through
+    const href = `thumbnail?tab=${studio.tab}&path=aperture.image&of=${encodeURIComponent(image)}`;
+    parts.push(ring(radius + 1, "var(--glow)"), ["image", { ...picture, href, class: "transmission" }]);
+  }
   one("#blades").replaceChildren(...svg([
-    ring(54, { fill: "var(--black)" }), ring(radius + 3, { fill: "var(--glow)" }), ...blades,
-    ring(57, { fill: "none", stroke: "var(--panel)", "stroke-width": 7 }), ring(57, { fill: "none", stroke: "var(--edge)", "stroke-width": 2 }),
+    ["g", { transform: `scale(${1 / squeeze} 1)` }], ring(57, "none", { stroke: "var(--panel)", "stroke-width": 7 }),
+    ring(57, "none", { stroke: "var(--edge)", "stroke-width": 2 }),
   ]));
+  one("#blades g").append(...svg(parts));
   reword(one("#open"), `${brief(Number(aperture.toPrecision(3)))} mm open`);
-  for (const button of all("#stops button")) button.setAttribute("aria-checked", String(Math.abs(Number(button.dataset.stop) - f / aperture) < 0.01));
+  for (const button of all("#stops button")) {
+    const stop = Number(button.dataset.stop);
+    button.setAttribute("aria-checked", String(Math.abs(stop - f / aperture) < 0.01));
+    button.hidden = stop < WIDEST && stop < widest - 0.01;
+  }
 };
 
 // ---- ruler: dioptres from left to right, to infinity -----------------------------------------------------------------
-/** @type {[string, number, number | null, string][]} */
-let objects = []; // name, nearest and farthest depth in mm, color
+/** @type {[string, number, number | null, number | null, string][]} */
+let objects = []; // name, nearest, middle and farthest depth in mm, color
 
 const NEARER = { 1: 0.8, 8: 6 / 8, 6: 5 / 6, 5: 4 / 5, 4: 3 / 4, 3: 2 / 3, 2: 1 / 2 }; // to the next round distance, by the digit
 
@@ -79,7 +104,8 @@ const ruler = (lens) => {
     if (isNamed) text(x, base + 16, marked(depth));
   }
   text(at(0), base + 16, "∞", { "text-anchor": "end" });
-  const unit = tight ? Infinity : 10 ** Math.floor(Math.log10(most * 400)) / 2;
+  const room = (44 * most * 1000) / (width - 16), power10 = 10 ** Math.floor(Math.log10(room)); // dioptres that a name takes
+  const unit = tight ? Infinity : power10 * ([1, 2, 5].find((each) => each * power10 >= room) ?? 10);
   for (let each = unit; each < most * 1000; each += unit) text(at(each / 1000), base + 29, `${brief(each)} D`, { class: "dioptre" });
   for (const disc of tight ? [] : [TOP / 2, TOP]) {
     const y = base - (disc / 2) * tall;
@@ -93,8 +119,8 @@ const ruler = (lens) => {
 };
 
 const bars = (parts, at, base, levels, width) => { // each object from its nearest to its farthest depth; names that collide are left out
-  const ends = levels.map(() => -Infinity);
-  for (const [name, near, far, color] of objects) {
+  const ends = levels.map(() => -Infinity), names = [];
+  for (const [name, near, depth, far, color] of objects) {
     const left = at(near ? 1 / near : 0), right = at(far ? 1 / far : 0), middle = (left + right) / 2, wide = 6.4 * name.length;
     parts.push(["rect", { x: Math.min(left, width - 14), y: base - 5, width: Math.max(6, right - left), height: 5, rx: 2, fill: color }]);
     const x = Math.min(Math.max(middle, wide / 2 + 12), width - wide / 2 - 2), level = ends.findIndex((end) => x - wide / 2 - 14 > end);
@@ -102,8 +128,14 @@ const bars = (parts, at, base, levels, width) => { // each object from its neare
     ends[level] = x + wide / 2;
     parts.push(["line", { x1: middle, x2: middle, y1: levels[level] + 4, y2: base - 6, stroke: color, "stroke-dasharray": "1 3" }]);
     parts.push(["circle", { cx: x - wide / 2 - 6, cy: levels[level] - 4, r: 3.5, fill: color }]);
-    parts.push(["text", { x, y: levels[level], "text-anchor": "middle", class: "name" }, name]);
+    const button = made("button", { type: "button", tabIndex: -1, title: "Focus on it", onclick: () => studio.set(FOCUS, depth ?? "inf") }, name);
+    button.setAttribute("aria-label", `Focus on ${name}`);
+    [button.style.left, button.style.top] = [`${x}px`, `${levels[level] - 16}px`];
+    names.push(button);
   }
+  const key = names.map((each) => each.style.cssText + each.textContent).join();
+  if (one("#names").dataset.of !== key) one("#names").replaceChildren(...names);
+  one("#names").dataset.of = key;
 };
 
 const draw = () => {
@@ -134,8 +166,12 @@ studio.hearing.push(({ lens, overview }) => {
 });
 
 // ---- the point in the picture, in a sentence -----------------------------------------------------------------------
-studio.describe = ({ object, depth, blur_radius: radii }) => {
-  const radius = Array.isArray(radii) ? radii[1] : radii, { focus } = studio.lens ?? {};
+/** @type {{ x: number, y: number, depth: number | null, radius: number } | null} */
+let point = null;
+studio.describe = (values) => {
+  const { x, y, object, depth, blur_radius: radii } = values, radius = Array.isArray(radii) ? radii[1] : radii, { focus } = studio.lens ?? {};
+  point = typeof radius === "number" ? { x, y, depth, radius } : null;
+  studio.viewport.changed();
   if (typeof radius !== "number") { reword(one("#who"), "Nothing"); reword(one("#what"), "no surface"); return; }
   const disc = 2 * Math.abs(radius), kind = disc < 2 * SHARP ? "sharp" : disc < 4 ? "nearly sharp" : "soft";
   const name = object ? object[0].toUpperCase() + object.slice(1) : "Surface", far = depth === null || focus === null || focus === undefined;
@@ -143,6 +179,14 @@ studio.describe = ({ object, depth, blur_radius: radii }) => {
   reword(one("#who"), `${name}, ${kind}`);
   reword(one("#what"), `${far ? "" : `${marked(depth)}${depth < 1000 ? " mm" : ""}: `}${gap}, blur disc ${disc.toFixed(1)} px`);
 };
+
+studio.overlays.push((context, place) => { // a ring as large as the blur of the point
+  if (point === null || studio.tool) return;
+  const [x, y] = place(point.x, point.y), radius = Math.max(4, Math.abs(point.radius) * studio.viewport.scale);
+  const color = getComputedStyle(one("#stage")).getPropertyValue("--glow");
+  stroked(context, color, [3.5, 1.5], () => context.arc(x, y, radius, 0, 2 * Math.PI));
+  if (studio.isPinned()) stroked(context, color, [4, 2], () => context.arc(x, y, 1, 0, 2 * Math.PI));
+});
 
 studio.parts.push(() => {
   new ResizeObserver(draw).observe(one("#ruler"));

@@ -12,9 +12,9 @@ const progressed = ({ doing, done, total, still }) => {
   if (canceled) return; // it was said before
   if (performance.now() - said < PACE && !one("#progress").hidden) return;
   said = performance.now();
-  const waits = doing === "another tab" || doing.startsWith("compiling") || still >= STILL;
-  const words = [total > 1 ? `time sample ${Math.min(done + 1, total)} of ${total}` : "rendering"];
-  if (waits) words.push(`waits for ${doing}`);
+  const step = total > 1 ? ` ${Math.min(done + 1, total)} of ${total}` : "", isCompiling = doing.startsWith("compiling");
+  const words = [isCompiling ? `Compiling${step}` : step ? `Time sample${step}` : "Rendering"];
+  if (!isCompiling && (doing === "another tab" || still >= STILL)) words.push(`waits for ${doing}`);
   if (still >= STILL) words.push(`no progress for ${Math.round(still)} s`);
   one("#progress").textContent = `${words.join(", ")} · Esc cancels`;
   one("#progress").hidden = false;
@@ -29,7 +29,7 @@ const stopped = () => {
   studio.notInspected();
   canceled = studio.rung !== RUNG.EXACT;
   one("#progress").hidden = !canceled;
-  if (canceled) one("#progress").textContent = "canceled: the exact frame comes with the next change";
+  if (canceled) one("#progress").textContent = "Canceled: the exact frame comes with the next change";
 };
 studio.isCanceled = () => canceled;
 

@@ -1,7 +1,7 @@
 // What comes over the socket; made from clsco/studio/pictures.py by python -m tests.studio.protocol.
 
 export const RUNG = { DRAGGING: 0, LOSSY: 1, EXACT: 2, PINNED: 3, STACKED: 4, OUTLINED: 5 };
-export const ENCODING = { MESSAGE: 0, JPEG: 1, PNG: 2, FLOAT16: 3, FLOAT32: 4 };
+export const ENCODING = { MESSAGE: 0, JPEG: 1, PNG: 2, FLOAT32: 3 };
 export const VIEWS = ["color", "sharp", "depth", "blur radius", "flow", "normal", "id", "mask", "missing", "raw", "noise"];
 export const NO_NUMBER = 4294967295; // of a picture of a moment, in place of a frame's
 
@@ -27,8 +27,7 @@ const header = (buffer) => {
 export const opened = (buffer) => {
   const { view, columns, rows, flags, ...rest } = header(buffer);
   const picture = {
-    ...rest, view: VIEWS[view], full: [columns, rows], right: Boolean(flags & 2),
-    without: ["occlusion", "", "motion"].filter((name, bit) => name && flags & (1 << bit)),
+    ...rest, view: VIEWS[view], full: [columns, rows], right: Boolean(flags & 2), still: Boolean(flags & 1),
   };
   return { picture, payload: new Uint8Array(buffer, HEAD) };
 };

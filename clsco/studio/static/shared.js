@@ -11,6 +11,8 @@
 export const one = (selector) => document.querySelector(selector);
 /** @type {(selector: string) => any[]} */
 export const all = (selector) => [...document.querySelectorAll(selector)];
+/** Controls of a key of the scene. @type {(path: string) => any[]} */
+export const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
 
 /**
  * Has events of a kind handled wherever they are, as elements come and go.

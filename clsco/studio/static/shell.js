@@ -1,6 +1,7 @@
 // The frame of the page: its docks and sheets, light or dark, groups of buttons with one Tab stop, and commands by words.
 
 import { all, made, on, one, studio } from "./shared.js";
+import { summed } from "./views.js";
 
 const NARROW = 900, DOCKED = 1600; // px, as in studio.css
 const THEME = "clsco-theme";
@@ -72,7 +73,7 @@ on("keydown", (event, target) => {
 
 // ---- commands by words ---------------------------------------------------------------------------------------------
 const called = (button) => button.getAttribute("aria-label") ?? button.textContent.trim();
-const COMMANDS = "#studio > header button, #views [role=tab], .panel > summary, .chip, #line button, #shown-panel button, .swatch";
+const COMMANDS = "#studio > header button, #views [role=tab], .panel > summary, .chip, #names button, #line button, #shown-panel button, .swatch";
 /** @type {(label: string, act: () => void) => [string, () => void]} */
 const command = (label, act) => [label, act];
 const value = (words) => { // a number after the words of a field: "f number 4"
@@ -134,6 +135,7 @@ studio.parts.push(() => {
   one("#more").addEventListener("click", () => {
     const isOpen = one("#views").toggleAttribute("data-all");
     one("#more").setAttribute("aria-expanded", String(isOpen));
+    summed();
   });
   on("click", (_, target) => {
     const part = target.closest("[data-part-of]")?.dataset.partOf, to = target.closest("[data-to]")?.dataset.to;

@@ -3,7 +3,7 @@
 
 import { ENCODING, RUNG, VIEWS, opened } from "./protocol.js";
 import { brief, full, placeOf, valueAt } from "./scales.js";
-import { all, on, one, problem, reword, studio } from "./shared.js";
+import { all, on, one, problem, reword, sameKey, studio } from "./shared.js";
 import { Viewport } from "./viewport.js";
 import { decoded, plane, summed } from "./views.js";
 
@@ -122,7 +122,7 @@ const paint = (picture, image) => {
     viewport.fit();
   }
   context.imageSmoothingEnabled = picture.view === "color" || picture.view === "sharp";
-  if (image.width !== columns || image.height !== rows) context.imageSmoothingQuality = "medium";
+  if (image.width !== columns || image.height !== rows) context.imageSmoothingQuality = "high";
   context.drawImage(image, 0, 0, columns, rows);
   image.close();
   studio.revision = picture.revision;
@@ -239,7 +239,6 @@ const valueOf = (control, isFine) => {
   return control.value;
 };
 
-const sameKey = (path) => all(`[data-path="${CSS.escape(path)}"]`);
 
 const changing = (control, isFine = false) => {
   const path = control.dataset.path, value = valueOf(control, isFine);
@@ -312,31 +311,12 @@ const watch = () => { // tell the server which keys are on the page, so that it 
     filled.add(control);
     if (control.dataset.path in studio.values) give(control, studio.values[control.dataset.path]);
   }
-  if (fresh.length) { mark(); idle(); }
+  if (fresh.length) { studio.mark(); idle(); }
   const paths = [...new Set(all("[data-path], [data-thumbnail]").map(({ dataset }) => dataset.path ?? dataset.thumbnail))];
   summed();
   if (paths.join("\n") === watched) return;
   watched = paths.join("\n");
   send({ watch: paths });
-};
-
-const mark = () => { // hardly any control is at fault: the others are not touched
-  for (const control of all("[data-faulty]")) {
-    if (control.dataset.path in studio.faults) continue;
-    control.removeAttribute("data-faulty");
-    control.removeAttribute("aria-invalid");
-  }
-  for (const place of all("[data-fault]:not([hidden])")) place.hidden = !(place.dataset.fault in studio.faults);
-  for (const [path, fault] of Object.entries(studio.faults)) {
-    for (const control of sameKey(path)) {
-      control.setAttribute("data-faulty", "");
-      control.setAttribute("aria-invalid", "true");
-    }
-    for (const place of all(`[data-fault="${CSS.escape(path)}"]`)) {
-      reword(place, fault);
-      place.hidden = false;
-    }
-  }
 };
 
 // A control that does nothing is disabled and says why, but for one whose value is at fault.
@@ -357,10 +337,11 @@ const idle = () => {
 const told = (said) => {
   if (said.error) { fail(said.error); studio.notInspected(); }
   if (said.about) reword(one("#plan"), said.about.plan);
+  if (said.given) studio.values.given = said.given;
   if (said.values) valued(said.values);
   for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
-  if (said.faults) { studio.faults = said.faults; mark(); }
-  if (said.values || "moves" in said) { idle(); summed(); }
+  if (said.faults) { studio.faults = said.faults; studio.mark(); }
+  if (said.values || said.given) { idle(); summed(); }
   if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
   for (const hear of studio.hearing) hear(said);
@@ -397,7 +378,6 @@ const dismiss = () => { // false where there is no message
 Object.assign(studio, { fail, notify });
 
 const CLICKS = { // what a click on an element with such an attribute does
-  clear: (path) => { drag += 1; put(path, null); },
   do: (action) => send({ do: action }),
   show: (selector) => one(selector).showModal(),
   close: (selector) => one(selector).close(),
@@ -418,6 +398,10 @@ const controls = () => {
       const element = target.closest(`[data-${name}]`);
       if (element) act(element.dataset[name]);
     }
+  });
+  on("dblclick", (_, target) => { // on a label: to the default
+    const path = target.closest("[data-clear]")?.dataset.clear;
+    if (path) studio.set(path, null);
   });
   const isElement = (node) => node instanceof Element; // words come and go all the time
   new MutationObserver((changes) => {

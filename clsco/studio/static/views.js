@@ -10,22 +10,11 @@ export const decoded = (picture, payload) => createImageBitmap(
   { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 
 export const plane = (picture, payload) => {
-  const values = picture.encoding === ENCODING.FLOAT16 ? halves(payload) : new Float32Array(payload.buffer, payload.byteOffset);
+  const values = new Float32Array(payload.buffer, payload.byteOffset);
   picture.values = values;
   const { data, legend } = colored(picture.view, values, picture.width, picture.height);
   picture.legend = legend;
   return createImageBitmap(new ImageData(data, picture.width, picture.height));
-};
-
-const halves = ({ buffer, byteOffset }) => {
-  if (typeof Float16Array !== "undefined") return new Float32Array(new Float16Array(buffer, byteOffset));
-  const codes = new Uint16Array(buffer, byteOffset), values = new Float32Array(codes.length);
-  codes.forEach((code, at) => {
-    const sign = code & 0x8000 ? -1 : 1, exponent = (code >> 10) & 31, rest = code & 1023;
-    values[at] = sign * (exponent === 31 ? (rest ? NaN : Infinity)
-      : exponent ? 2 ** (exponent - 15) * (1 + rest / 1024) : 2 ** -14 * (rest / 1024));
-  });
-  return values;
 };
 
 studio.stale = (is) => { for (const tab of all("#views [data-view]")) tab.toggleAttribute("data-stale", is); };
@@ -35,7 +24,10 @@ studio.hearing.push(({ overview }) => { // small views, all of one frame
   for (const [view, [width, height, text]] of Object.entries(overview.views)) {
     const payload = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
     const encoding = view === "color" || view === "sharp" ? ENCODING.JPEG : ENCODING.FLOAT32, picture = { view, width, height, encoding };
-    (encoding === ENCODING.JPEG ? decoded(picture, payload) : plane(picture, payload)).then((image) => thumbnail(view, image));
+    (encoding === ENCODING.JPEG ? decoded(picture, payload) : plane(picture, payload)).then((image) => {
+      if (view === "mask") { studio.values.gaps = picture.values?.includes(0); summed(); }
+      thumbnail(view, image);
+    });
   }
 });
 const thumbnail = (view, canvas) => { // small, beside the picture
@@ -45,7 +37,6 @@ const thumbnail = (view, canvas) => { // small, beside the picture
   context.drawImage(canvas, (small.width - width) / 2, (small.height - height) / 2, width, height);
 };
 
-
 export const summed = () => { // the values of closed panels, and views that have no meaning for the scene
   const { values } = studio, shapes = one("[data-path$='.shape']:checked")?.closest("label").textContent;
   for (const place of all("[data-brief]")) {
@@ -54,6 +45,13 @@ export const summed = () => { // the values of closed panels, and views that hav
     else if (path.endsWith(".shape")) reword(place, shapes ?? "");
     else reword(place, typeof value === "number" ? `${brief(value)} mm` : String(value ?? "").split("/").at(-1));
   }
+  for (const label of all("[data-default]")) { // a dot where a value is not the default
+    const boxes = [...label.parentElement.querySelectorAll("[data-path]:not([type=range])")], normal = [JSON.parse(label.dataset.default)].flat(2);
+    label.toggleAttribute("data-other", boxes.some(({ dataset: { path } }, k) => values.given?.includes(path) && values[path] !== (normal[k] ?? null)));
+  }
   values.warps = values["motion.warp"] === "forward";
   for (const tab of all("[data-rare]")) tab.toggleAttribute("data-rare-now", !values[tab.dataset.rare]);
+  const more = all("[data-rare-now]").length, isOpen = one("#views").hasAttribute("data-all");
+  reword(one("#more span"), isOpen ? "Fewer" : `${more} more`);
+  one("#more").hidden = !more;
 };

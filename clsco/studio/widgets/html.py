@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import html
 import itertools
+import json
+import math
 import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -263,14 +265,23 @@ class Dialog:
         self._page.tell(close=self._place)
 
 
-def number(field: Field, value: Any, letter: str = "") -> None:
-    """Draw a number field: its label, or the letter of a component, and the box with its unit over a slider, if it has
-    one, whose fill is the place in the range; and a place for its message.
+def label(field: Field, tag: str = "label", text: str = "", **attributes: Any) -> None:
+    """Write the label of a field. The page's script puts a dot before it if the value differs from the default, and a
+    double click resets the value.
     """
+    limits = "" if field.least is None else f", {field.least:g} to {field.most:g} {field.unit}"
+    title = f"{field.help} (default {field.default}{limits}; a double click resets)"
+    default = json.dumps("inf" if field.default == math.inf else field.default)
+    text = text or f"{field.label} {field.symbol}".strip()
+    say(tag, text, title=title, data_clear=field.path, data_default=default, **attributes)
+
+
+def number(field: Field, value: Any, letter: str = "") -> None:
+    """Draw a number field: its label or letter, its box over a slider, whose fill is the place, and its message."""
     with say("div", class_="live"):
         box = f"box-{field.path}"
         if not letter:
-            say("label", f"{field.label} {field.symbol}".strip(), for_=box, title=field.help)
+            label(field, for_=box)
         with say("div", class_="num"):
             slider(field, tabindex="-1")
             if letter:
@@ -278,7 +289,7 @@ def number(field: Field, value: Any, letter: str = "") -> None:
             number_box(field, value, box)
             if not letter:
                 say("span", field.unit, class_="unit")
-        say("div", data_fault=field.path, role="alert", hidden=True)
+        say("div", data_fault=field.path, hidden=True)
 
 
 def slider(field: Field, **attributes: Any) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,6 +25,7 @@ from clsco.studio.widgets.html import (
     check_box,
     choice,
     icon,
+    label,
     number,
     page,
     say,
@@ -147,28 +149,24 @@ def draw_field(session: Document, shown: Field) -> None:
     value = session.shown(shown.path)
     if shown.kind == "vector":
         with say("fieldset", class_="vector"):
-            say("legend", f"{shown.label} {shown.symbol}".strip(), title=f"{shown.name}: {shown.help}")
+            label(shown, "legend")
             _components(session, shown)
-            _back(shown)
             if shown.key == "semi_axes":
                 check_box("c = b, as in the thesis", session.is_linked, partial(setattr, session, "is_linked"))
         return
     with say("div", class_="field"):
         if shown.kind == "number":
             number(shown, value)
-            _back(shown)
         elif shown.kind == "flag":
             only = shown.only or None
-            check(shown.label, checked=bool(value), title=shown.help, data_path=shown.path, data_only=only)
-            _back(shown)
+            with say("div", data_clear=shown.path, data_default=json.dumps(shown.default)):
+                check(shown.label, checked=bool(value), title=shown.help, data_path=shown.path, data_only=only)
             _fault(shown)
         else:
             box = f"box-{shown.path}"
-            say("label", shown.name, for_=box)
+            label(shown, for_=box)
             if shown.kind == "choice":
-                with say("div", class_="row"):
-                    _select(shown, value, box)
-                    _back(shown)
+                _select(shown, value, box)
             else:
                 _text(session, shown, value, box)
             _fault(shown)
@@ -189,7 +187,7 @@ def _select(shown: Field, value: Any, box: str) -> None:
         for option, label in shown.choices:
             say("option", label, value=option, selected=option == value)
         if isinstance(value, list):  # weights of a shutter curve, from a scene file
-            say("option", _brief(value), value="", selected=True, disabled=True)
+            say("option", str(value), value="", selected=True, disabled=True)
 
 
 def _text(session: Document, shown: Field, value: Any, box: str) -> None:
@@ -202,7 +200,6 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
         if shown.kind == "image":
             say("input", type="file", accept=",".join(IMAGES), hidden=True, data_upload=shown.path, tabindex="-1")
             say("button", "Browse", type="button", data_browse=shown.path, aria_label=f"Browse for {shown.label}")
-        _back(shown)
     if names is not None:
         with say("datalist", id=names):
             for name in [name for name, _ in shown.choices] + listed(session.folder, IMAGES)[:100]:
@@ -213,24 +210,8 @@ def _text(session: Document, shown: Field, value: Any, box: str) -> None:
             say("span", "Drop an image here", data_about=shown.path)
 
 
-def _back(shown: Field) -> None:
-    unit = f" {shown.unit}" if shown.unit else ""
-    title = "Default: none" if shown.default is None else f"Default: {_brief(shown.default)}{unit}"
-    title += "" if shown.least is None else f"; {shown.least:g} to {shown.most:g}{unit}"
-    say(
-        "button", "↺", type="button", data_clear=shown.path, aria_label=f"Default of {shown.label}", title=title,
-        class_="back",
-    )  # fmt: skip
-
-
-def _brief(value: Any) -> str:
-    if isinstance(value, list):
-        return ", ".join(_brief(entry) for entry in value)
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def _fault(shown: Field) -> None:
-    say("div", data_fault=shown.path, role="alert", hidden=True)
+    say("div", data_fault=shown.path, hidden=True)
 
 
 def _shapes(session: Document, shown: Field) -> None:
