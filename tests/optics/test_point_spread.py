@@ -11,12 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
-from clsco.constants import POWERS, TAP_LANES, WIDE_LANES
+from clsco.constants import POWERS, TAP_LANES
 from clsco.optics.point_spread import PointSpread, point_spread, subpixel_offsets
 from clsco.optics.psf_grid import table_coordinate, table_radius
-from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_of
+from clsco.optics.psf_tables import PsfTable, psf_table, table_bytes, table_weights
 from clsco.optics.pupils.circle import disc_coverage
 from clsco.optics.pupils.gaussian import Gaussian
+from clsco.optics.stencil import SUMMED, is_summed, stencils
 from clsco.scene.model import Psf
 from tests.optics.grids import Array, grid, square
 from tests.slow import mostly_slow
@@ -29,7 +30,6 @@ SAMPLED = [psf for psf in PSFS if psf.edge == "sampled"]
 RADII = [0.0, 1e-12, 1e-9, 2e-9, 1e-6, 0.125, np.nextafter(0.5, 0.0), 0.5, 1.0, 2.0, 5.0, 13.0, 25.0, 60.0]
 RADII += np.random.default_rng(1).uniform(0.0, 6.0, 20).tolist()
 RADII += np.random.default_rng(2).uniform(6.0, 60.0, 4).tolist()
-DISC = point_spread(Psf())
 
 
 def name_of(psf: PointSpread) -> str:
@@ -229,85 +229,14 @@ def test_reach_is_exact(psf: PointSpread) -> None:
 # The tables
 
 
-def read(table: PsfTable, coordinate: float, row: int, powers: int = POWERS) -> Array:
+def read(table: PsfTable, coordinate: float, row: int) -> Array:
     """Weights (2 half-width + 1,) of a row as a kernel reads them."""
     start, half_width = (int(v) for v in table.intervals[int(coordinate) - table.first, :2])
     lanes = (2 * half_width // TAP_LANES + 1) * TAP_LANES
-    t, at = coordinate - int(coordinate), start + row * powers * lanes
-    found = table.coefficients[at : at + powers * lanes].reshape(powers, lanes).astype(np.float64)
+    t, at = coordinate - int(coordinate), start + row * POWERS * lanes
+    found = table.coefficients[at : at + POWERS * lanes].reshape(POWERS, lanes).astype(np.float64)
     assert not found[:, 2 * half_width + 1 :].any()  # what a whole vector adds beyond the PSF is nothing
-    return np.asarray((found * (t ** np.arange(powers))[:, None]).sum(axis=0)[: 2 * half_width + 1])
-
-
-def pixel_table(table: PsfTable, coordinate: float, powers: int = POWERS) -> Array:
-    """All weights of a source: rows of |dy|."""
-    half_width = int(table.intervals[int(coordinate) - table.first, 1])
-    return np.stack([read(table, coordinate, abs(dy), powers) for dy in range(-half_width, half_width + 1)])
-
-
-def disc_table(table: PsfTable, coordinate: float) -> Array:
-    """The same of a sampled disc: in each row as many pixels as a square root says, all with one weight."""
-    number = int(coordinate) - table.first
-    start, half_width = (int(v) for v in table.intervals[number])
-    assert table.coefficients[start] == table.taps[number]
-    span = np.abs(np.arange(-half_width, half_width + 1))
-    ends = [int(table.outlines[int(coordinate) - dy * dy]) for dy in span]
-    return np.stack([(span <= end) * float(table.coefficients[start]) for end in ends])
-
-
-def stored_taps(table: PsfTable, coordinate: float) -> Array:
-    """Weights of all taps as many neighbors read them: from both windows that have the interval, which agree."""
-    number = int(coordinate) - table.first
-    windows = table.taps.shape[1]
-    assert windows == -(-len(table.intervals) // TAP_LANES)
-    powers = (coordinate - int(coordinate)) ** np.arange(POWERS)
-    found = [
-        (table.taps[:, window, :, number - TAP_LANES * window].astype(np.float64) * powers).sum(axis=-1)
-        for window in range(number // TAP_LANES, max(number - WIDE_LANES, -1) // TAP_LANES, -1)
-    ]
-    assert len(found) == min(WIDE_LANES // TAP_LANES, number // TAP_LANES + 1)
-    for other in found[1:]:
-        np.testing.assert_array_equal(found[0], other)
-    return np.asarray(found[0])
-
-
-def separable_table(table: PsfTable, coordinate: float) -> Array:
-    """The same of a Gaussian whose weights are products of those of one row."""
-    axis = read(table, coordinate, 0)
-    half_width = int(table.intervals[int(coordinate) - table.first, 1])
-    side = stored_taps(table, coordinate)
-    np.testing.assert_array_equal(side[: half_width + 1], axis[half_width:])
-    assert len(side) == int(table.intervals[:, 1].max()) + 1
-    assert not side[half_width + 1 :].any()  # read as well
-    return np.asarray(axis[:, None] * axis)
-
-
-def stored_octant(table: PsfTable, coordinate: float) -> Array:
-    """Weights (half-width + 1, half-width + 1) of |dx|, |dy| as neighbors read them."""
-    half_width = int(table.intervals[int(coordinate) - table.first, 1])
-    weights = stored_taps(table, coordinate)
-    widest = int(table.intervals[:, 1].max())
-    assert len(weights) == (widest + 1) * (widest + 2) // 2
-    a, b = np.indices((half_width + 1, half_width + 1))
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    number = high * (high + 1) // 2 + low
-    assert not weights[number.max() + 1 :].any()  # beyond the half-width of the interval
-    return np.asarray(weights[number])
-
-
-def check_outline(table: PsfTable, coordinate: float, weights: Array) -> None:
-    """Check the outline of columns of a quadrant (|dy|, |dx|): how many taps have the weight in the middle, and the
-    last one."""
-    first, last = table.outlines[int(coordinate) - table.first].T
-    n, t = np.arange(len(weights)), coordinate % 1.0
-    same = np.minimum.accumulate(np.logical_and.accumulate(weights == weights[0, 0]).sum(axis=0))
-    assert (first[: len(weights)] <= same).all()
-    if 0.05 < t < 0.95:  # not where weights begin to differ
-        assert (first[: len(weights)] == same).all()
-    for dx in range(len(weights)):
-        assert not weights[n > last[dx], dx].any()
-    assert (first[len(weights) :] == 0).all()
-    assert (last[len(weights) :] == -1).all()
+    return np.asarray((found * (t ** np.arange(POWERS))[:, None]).sum(axis=0)[: 2 * half_width + 1])
 
 
 def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: int) -> Array:
@@ -319,9 +248,9 @@ def subpixel_table(table: PsfTable, coordinate: float, samples: int, i: int, j: 
     return np.stack([read(table, coordinate, middle + sign * dy) for dy in range(-half_width, half_width + 1)])
 
 
-def coordinate_of(table: PsfTable, psf: PointSpread, radius: float, subpixel: bool = False) -> float:
-    """The coordinate that a device gives a radius: rounded to float32, within the table."""
-    found = float32_coordinate(psf, np.asarray(radius), subpixel, table.first, len(table.intervals))
+def coordinate_of(table: PsfTable, psf: PointSpread, radius: float) -> float:
+    """The coordinate of sub-pixel sources that a device gives a radius: rounded to float32, within the table."""
+    found = float32_coordinate(psf, np.asarray(radius), True, table.first, len(table.intervals))
     assert table.first <= found < table.first + len(table.intervals)
     return float(found)
 
@@ -352,17 +281,11 @@ def test_table_holds_the_weights(psf: PointSpread) -> None:
         radii = [low, high, low + 1e-9, 0.5, 0.500001, 1.0, np.nextafter(1.0, 0.0), *rng.uniform(low, high, count)]
         error = energy = 0.0
         for radius in [r for r in radii if low <= r <= high]:
-            coordinate = coordinate_of(table, psf, radius)
-            read_all = {"disc": disc_table, "separable": separable_table}.get(psf.layout, pixel_table)
-            found = read_all(table, coordinate)
+            found = table_weights(table, psf, radius)
             half = len(found) // 2
-            if read_all is pixel_table:
-                stored = stored_octant(table, coordinate)
-                np.testing.assert_array_equal(stored, found[half:, half:])
-                check_outline(table, coordinate, stored)
             assert psf.reach(radius) <= half <= table.reach
             error = max(error, float(np.abs(found - square(psf, radius, half)).sum()))
-            energy = max(energy, abs(found.sum() - 1.0))
+            energy = max(energy, abs(found.sum(dtype=np.float64) - 1.0))
         assert error < INTERPOLATION[psf.pupil.name, psf.edge][limit]
         # Interpolation keeps sums exactly; float32 rounds hundreds of coefficients by 6e-8 of each, both ways.
         assert energy < 1e-7
@@ -379,7 +302,7 @@ def test_subpixel_table_holds_the_weights_of_every_position(model: str, samples:
     offset = subpixel_offsets(samples)
     radii = [low, high, *np.random.default_rng(14).uniform(low, high, 20)]
     for radius in radii:
-        coordinate = coordinate_of(table, psf, radius, True)
+        coordinate = coordinate_of(table, psf, radius)
         for i, j in np.ndindex(samples, samples):
             found = subpixel_table(table, coordinate, samples, i, j)
             x, y = grid(len(found) // 2)
@@ -397,7 +320,7 @@ def test_intervals_of_subpixel_discs_begin_where_they_touch_pixel_edges(samples:
     psf = point_spread(Psf(silhouette_samples=samples))
     table, (offset, *_) = psf_table(psf, 11.0, 15.0, samples), subpixel_offsets(samples)
     for radius in (11.735, 12.24, 13.63, 14.26):
-        found = subpixel_table(table, coordinate_of(table, psf, radius, True), samples, 0, 0)
+        found = subpixel_table(table, coordinate_of(table, psf, radius), samples, 0, 0)
         x, y = grid(len(found) // 2)
         exact = psf.subpixel_weights(x - offset, y - offset, np.asarray(radius))
         assert np.abs(found - exact).max() < 1e-3 * exact.max()  # up to 4e-3 with 48 intervals per octave
@@ -432,8 +355,20 @@ def test_tables_too_large_to_make_are_counted_at_once() -> None:
     assert time.process_time() - begun < 2.0
 
 
-def test_a_table_of_fewer_radii_than_a_vector_holds_fills_one() -> None:
-    whole, few = (table_of(DISC, range(80, end)) for end in (80 + TAP_LANES, 84))
-    assert whole.taps.shape[1:] == few.taps.shape[1:] == (1, POWERS, WIDE_LANES)
-    assert np.array_equal(few.taps[..., :4], whole.taps[: len(few.taps), ..., :4])
-    assert not few.taps[..., 4:].any()
+@pytest.mark.parametrize("psf", PSFS, ids=name_of)
+def test_stencils_of_wide_discs_have_rectangles(psf: PointSpread) -> None:
+    for radius in (10.0, 20.0):
+        far = psf.reach(radius)
+        rectangles = stencils(psf, radius)[-1].rectangles
+        assert bool(rectangles) == is_summed(psf, far) == (psf.pupil.name == "circle" and far >= SUMMED)
+        # Narrower and higher ones after wider ones, and most of the disc.
+        assert list(rectangles) == sorted(rectangles, key=lambda rectangle: (-rectangle[0], rectangle[1]))
+        if rectangles:
+            assert stencils(psf, radius)[0].area > 0.8 * np.pi * (radius - 1.5) ** 2
+
+
+def test_stencils_of_wide_discs_take_few_weights() -> None:
+    """The weights that rectangles leave grow as the radius does, not as its square."""
+    for psf, most in zip(PSFS[:3], (3.0, 6.0, 10.0), strict=True):
+        for radius in (20.0, 60.0):
+            assert len(stencils(psf, radius)[0].weights) < most * radius

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from clsco.constants import LONGEST_RUN
 from clsco.optics.point_spread import point_spread
-from clsco.optics.stencil import SUMMED, Stencil, is_summed, stencils
+from clsco.optics.stencil import Stencil, stencils
 from clsco.scene.model import Psf
 from tests.optics.grids import square
 from tests.spreads import PSFS, name_of
@@ -45,22 +45,3 @@ def test_a_stencil_is_its_psf(psf: Psf, radius: float) -> None:
     # Rounded to float32 once, or a product of two that are.
     expected = square(point_spread(psf), radius, far)
     np.testing.assert_allclose(found, expected, rtol=2.5 * 2.0**-24, atol=1e-14)
-
-
-@pytest.mark.parametrize("psf", PSFS, ids=name_of)
-def test_wide_discs_have_rectangles(psf: Psf) -> None:
-    for radius in (10.0, 20.0):
-        far = point_spread(psf).reach(radius)
-        rectangles = stencils(point_spread(psf), radius)[-1].rectangles
-        assert bool(rectangles) == is_summed(point_spread(psf), far) == (psf.model == "pillbox" and far >= SUMMED)
-        # Narrower and higher ones after wider ones, and most of the disc.
-        assert list(rectangles) == sorted(rectangles, key=lambda rectangle: (-rectangle[0], rectangle[1]))
-        if rectangles:
-            assert stencils(point_spread(psf), radius)[0].area > 0.8 * np.pi * (radius - 1.5) ** 2
-
-
-def test_wide_discs_take_few_weights() -> None:
-    """The weights that rectangles leave grow as the radius does, not as its square."""
-    for psf, most in zip(PSFS[:3], (3.0, 6.0, 10.0), strict=True):
-        for radius in (20.0, 60.0):
-            assert len(stencils(point_spread(psf), radius)[0].weights) < most * radius
