@@ -34,7 +34,7 @@ class Edges:
         return cl.Buffer(context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=self.blocks[-1][EDGE : EDGE + size])
 
     def written(self) -> list[tuple[int, int]]:
-        """Of each buffer with a written edge: its size, and the first written place, bytes from its start."""
+        """Size of each buffer with a written edge, and the first written place, bytes from its start."""
         found = []
         for block in self.blocks:
             places = np.flatnonzero(np.r_[block[:EDGE], block[-EDGE:]] != MARK)

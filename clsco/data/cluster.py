@@ -39,6 +39,8 @@ def cluster_device(address: str) -> tuple[str, str]:
             raise ClscoError(f"scheduler: {address} must have a worker; got none in {WORKERS_S:.0f} s") from None
         except (ImportError, AttributeError) as error:
             raise ClscoError(f"scheduler: workers must have this version of clsco; got {error}") from error
+        except distributed.KilledWorker as error:
+            raise ClscoError(f"scheduler: {address} must have a worker that works; got {error}") from error
         return str(family), str(precision)
 
 
@@ -68,8 +70,6 @@ def run_cluster(job: SetJob, shards: Sequence[int], address: str, advance: Calla
                     task = running.pop(future)
                     if _ended_well(distributed, schedule, task, future, address) and task.tried is None:
                         advance(len(job.numbers(task.shard)))
-        except (OSError, distributed.comm.CommClosedError, distributed.client.FutureCancelledError) as error:
-            raise _lost(address) from error
         finally:
             with suppress(Exception):  # the scheduler may be gone
                 client.cancel(list(running), force=True)
@@ -103,6 +103,7 @@ def _lost(address: str) -> ClscoError:
 
 @contextmanager
 def _client(distributed: Any, address: str) -> Iterator[Any]:
+    """A client of the scheduler. Raises ClscoError if the scheduler cannot be reached, or is lost in the block."""
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # losses are reported in one line
     try:
         client = distributed.Client(address, timeout=20, set_as_default=False)
@@ -111,6 +112,8 @@ def _client(distributed: Any, address: str) -> Iterator[Any]:
         raise ClscoError(f"scheduler: must be the address of a scheduler; got {address}: {got}") from error
     try:
         yield client
+    except (OSError, distributed.comm.CommClosedError, distributed.client.FutureCancelledError) as error:
+        raise _lost(address) from error
     finally:
         with suppress(Exception):  # the scheduler may be gone
             client.close(timeout=5)

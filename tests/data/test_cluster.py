@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from clsco.data import cluster as cluster_module
 from clsco.data.cluster import cluster_device, run_cluster
 from clsco.data.pool import Place, run_pool
 from clsco.data.storage import open_storage
@@ -124,6 +125,18 @@ def test_a_scheduler_that_goes_away_ends_the_command(cluster: Cluster, tmp_path:
         run_cluster(job, range(1000), cluster.address, advance)
     with pytest.raises(ClscoError, match="must be the address of a scheduler; got nonsense"):
         run_cluster(job, range(1), "nonsense", advance)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_before_a_worker_comes(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    def submit(*arguments: Any) -> Any:
+        cluster.scheduler.kill()
+        return of_cluster(*arguments)
+
+    of_cluster = cluster_module._submit
+    monkeypatch.setattr(cluster_module, "_submit", submit)
+    with pytest.raises(ClscoError, match="must be there until the set is made, which may be resumed"):
+        cluster_device(cluster.address)
 
 
 @pytest.mark.slow
