@@ -17,9 +17,9 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 43_990,
+    "lines of clsco/*.py": 44_000,
     "lines of kernels": 9_270,
-    "lines of tests": 43_110,
+    "lines of tests": 43_130,
     "words of documentation": 25_000,
     "wheel, kB": 2_230,
     "kernel programs of the tests": 300,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import inf
 from typing import Any, Literal, TypedDict, Unpack, get_args, overload
 
 import numpy as np
@@ -13,17 +14,17 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY, TAP_LANES
+from clsco.engine.checks import check_layer, given_arrays
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import BlurWorkspace, shared_buffers
-from clsco.errors import ArgumentError, SceneError
+from clsco.errors import SceneError
 from clsco.files.transfer import decode_channels, encode_channels, has_alpha
 from clsco.frame.strips import Strip
 from clsco.inputs.pupils import load_point_spread
 from clsco.inputs.soft_edges import LEAST_STEEPEST, assign_soft_edges, steepest_step
-from clsco.opencl.arrays import check_image, on_host, without_mask
+from clsco.opencl.arrays import on_host, without_mask
 from clsco.opencl.buffers import allocate
 from clsco.opencl.session import DeviceLike, Session
-from clsco.optics.lens import LARGEST_BLUR
 from clsco.optics.point_spread import GREEN, PointSpread, exposure_factor, spreads_of_colors
 from clsco.optics.resolved_view import guard_band
 from clsco.optics.waves import check_waves
@@ -42,7 +43,6 @@ from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
-MOST_IMAGES = 8  # that lie over each other
 SAME = 0.25  # px; as in kernels/layered/sheets.cl
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
@@ -132,7 +132,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
         depend on the f-number and the pixel pitch.
     cells : int, optional
         For layered occlusion, cells of the lens along each axis, which near surfaces hide one by one: 1 or 2. By
-        default 2 for |R| above 6 px, except with aperture.rim and psf.border = "renormalize".
+        default 2 for several layers, and |R| above 6 px, except with aperture.rim and psf.border = "renormalize".
     device : str, pyopencl.Device, Context or CommandQueue, optional
         Part of a device's name, "cpu" or "gpu", or a pyopencl object to work with. By default the queue of pyopencl
         arrays.
@@ -192,7 +192,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
             raise SceneError(f"{name}: must be {rule}; got {value!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
-    names, arrays = _arrays_of(image, blur_radius, layers)
+    names, arrays = given_arrays(image, blur_radius, layers)
     session, arrays, as_given = on_host(device, **dict(zip(names, arrays, strict=True)))
     arrays = [without_mask(*pair) for pair in zip(names, arrays, strict=True)]
     picture = arrays[0]
@@ -206,7 +206,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     for name, picture, radii in zip(names[::2], arrays[::2], arrays[1::2], strict=True):
         linear = decode_channels(picture, "srgb").astype(np.float32) if codes else picture
         radii = _visible_radii(linear, radii) if layers else radii
-        _check_layer(name.removesuffix("image"), linear, radii, arrays[0].shape, alpha=bool(layers))
+        check_layer(name.removesuffix("image"), linear, radii, arrays[0].shape, alpha=bool(layers))
         if factor is not None:
             linear = linear * _shares(linear, factor, alpha=bool(layers) or (codes and has_alpha(linear)))
         each.append(_Layer(linear, radii, alpha=bool(layers)))
@@ -313,19 +313,6 @@ class _Inputs:
         )
 
 
-def _arrays_of(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
-    """Arrays of all layers, or of one image, and their names for messages."""
-    if bool(layers) != (image is None and blur_radius is None):
-        raise ArgumentError("layers: must be given in place of image and blur_radius; got both or none of them")
-    if len(layers) > MOST_IMAGES:
-        raise ArgumentError(f"layers: must be at most {MOST_IMAGES}; got {len(layers)}")
-    if any(not isinstance(pair, tuple | list) or len(pair) != 2 for pair in layers):
-        raise ArgumentError("layers: must be pairs of an image and its blur radii; got something else")
-    begins = [f"layers[{number}]: " for number in range(len(layers))] or [""]
-    names = [f"{begin}{array}" for begin in begins for array in ("image", "blur_radius")]
-    return names, [array for pair in layers or [(image, blur_radius)] for array in pair]
-
-
 def _visible_radii(image: NDArray[Any], radii: NDArray[Any]) -> NDArray[Any]:
     """Radii with 0 where alpha is 0."""
     fits = image.ndim == 3 and radii.shape == image.shape[:2]
@@ -359,33 +346,6 @@ def _near_to_far(layers: list[_Layer]) -> tuple[_Layer, ...]:
     return tuple(joined)
 
 
-def _check_layer(name: str, picture: NDArray[Any], radii: NDArray[Any], shape: tuple[int, ...], alpha: bool) -> None:
-    """Raise ArgumentError for an image with its radii that cannot be blurred, or that has not the first one's shape."""
-    check_image(picture, name)
-    if alpha and (picture.shape != shape or picture.ndim != 3 or picture.shape[2] < 2):
-        rule = f"must have the shape {shape} of the first one" if picture.shape != shape else "must have alpha"
-        raise ArgumentError(f"{name}image: {rule}; got {picture.shape}")
-    if radii.shape != picture.shape[:2]:
-        rule = f"must have the rows and columns of the image, {picture.shape[:2]}"
-        raise ArgumentError(f"{name}blur_radius: {rule}; got {radii.shape}")
-    ends = []
-    for what, array in (("image", picture), ("blur_radius", radii)):
-        if array.dtype.kind not in "fiu":
-            raise ArgumentError(f"{name}{what}: must hold real numbers; got {array.dtype}")
-        ends.append((float(array.min()), float(array.max())))  # not finite if a value is not; needs no mask
-        if not np.isfinite(ends[-1]).all():
-            bad = int((~np.isfinite(array)).sum())
-            raise ArgumentError(f"{name}{what}: must be finite; got {bad} values that are not")
-    if picture.dtype.kind != "f":
-        kinds = "floats" if alpha else "floats, uint8 or uint16"
-        raise ArgumentError(f"{name}image: must be {kinds}; got {picture.dtype}")
-    if alpha and not 0.0 <= picture[..., -1].min() <= picture[..., -1].max() <= 1.0:
-        raise ArgumentError(f"{name}image: alpha must be from 0 to 1; got {picture[..., -1].max():.4g}")
-    largest = max(map(abs, ends[1]))
-    if largest > LARGEST_BLUR:
-        raise ArgumentError(f"{name}blur_radius: must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
-
-
 def _assign_edges(layers: list[_Layer]) -> tuple[list[_Layer], int]:
     """Assign pixels with a radius between those of two surfaces to one of them; also returns their number."""
     new, count = [], 0
@@ -415,7 +375,8 @@ def _spec(
     most = max(largest, 1.0) if inputs.images else largest
     blur = choose_blur(method, psf, device, most, inputs.channels, one_radius).value
     layered = model.occlusion == "layered" and blur != "convolve" and inputs.layers[0].steepest > DISCONTINUITY
-    layered, cells = layered or inputs.images > 0, lens_cells(psf, blur, model.border, largest, cells)
+    layered, widest = layered or inputs.images > 0, inf if inputs.images else largest
+    cells = lens_cells(psf, blur, model.border, widest, cells)
     return BlurSpec(
         psf, blur, smallest, largest, tilt=model.tilt, brightest=inputs.brightest, border=model.border,
         layered=layered, cells=cells if layered else 1, images=inputs.images,

@@ -25,19 +25,28 @@ def layer_bounds(latest: NDArray[np.int32]) -> list[int]:
 
     latest: (DISCONTINUITY_CLASSES, bins) from `find_discontinuities` of layered.cl: for each size class and each bin of
     the far side of a discontinuity, the first bin behind its near side; 0 without a discontinuity. From near to far, a
-    discontinuity that no bound splits yet gets a bound in the middle of its bins. If there are too many bounds, the
-    class of the smallest discontinuities is left out.
+    discontinuity that no bound splits yet gets a bound in the middle of its bins. If there are too many bounds, those
+    of the larger classes are taken, and evenly some of the class that is too many.
     """
-    for smallest in range(DISCONTINUITY_CLASSES):
-        bounds: list[int] = []
-        begins = latest[smallest:].max(axis=0)
-        for far_bin in np.flatnonzero(begins).tolist():
-            begin = int(begins[far_bin])  # the first bin behind the near side
-            if not bounds or bounds[-1] < begin:
-                bounds.append((begin + far_bin + 1) // 2)
+    bounds, finer = list[int](), list[int]()
+    for smallest in range(DISCONTINUITY_CLASSES + 1):
+        bounds = _bounds(latest[smallest:].max(axis=0, initial=0))
         if len(bounds) < MOST_LAYERS:
-            return bounds
-    return bounds[: MOST_LAYERS - 1]
+            break
+        finer = bounds
+    others, room = [each for each in finer if each not in bounds], MOST_LAYERS - 1 - len(bounds)
+    some = [others[(2 * k + 1) * len(others) // (2 * room)] for k in range(room if others else 0)]
+    return sorted(bounds + some)
+
+
+def _bounds(begins: NDArray[np.int32]) -> list[int]:
+    """Bounds that split all discontinuities; begins: for each bin of a far side the first bin behind the near side."""
+    bounds: list[int] = []
+    for far_bin in np.flatnonzero(begins).tolist():
+        begin = int(begins[far_bin])
+        if not bounds or bounds[-1] < begin:
+            bounds.append((begin + far_bin + 1) // 2)
+    return bounds
 
 
 def signs_of(low: float, bins: tuple[int, ...]) -> tuple[int, ...]:

@@ -98,7 +98,7 @@ def lens_cells(psf: PointSpread, method: Blur, border: str, largest: float, cell
     ellipses, and light that is returned to the frame need one. Raises SceneError.
     """
     separable = not psf.rims and psf.stretched == 0.0 and border == "lose"
-    if cells not in (None, 1, 2) or (cells == 2 and not separable):
+    if cells is not None and (type(cells) is not int or cells not in ((1, 2) if separable else (1,))):
         raise SceneError(f'cells: must be 1 or 2, and 1 with aperture.rim or psf.border = "renormalize"; got {cells!r}')
     return cells or (2 if largest > WIDE_BLUR and separable and method in MANY_RADII else 1)
 

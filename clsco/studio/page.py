@@ -16,7 +16,7 @@ from clsco.studio.widgets.files import open_dialog, preset_dialog, recover_dialo
 from clsco.studio.widgets.html import EVENTS, Page, button, handled, icon, label, number_box, say, slider
 from clsco.studio.widgets.inpainting import Painting
 from clsco.studio.widgets.jobs import GenerateForm, draw_jobs
-from clsco.studio.widgets.panels import draw_panels, draw_sweep
+from clsco.studio.widgets.panels import Chosen, draw_panels, draw_sweep
 
 LABELS = {"sharp": "All in focus", "blur radius": "Blur radius R", "normal": "Normals", "id": "Objects"}
 _NO_SENSOR = ("sensor", "no sensor: add its panel")
@@ -42,6 +42,7 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
     with page.current():
         sheet = GenerateForm(session, studio.jobs, studio.device or "")
         painting = Painting(session, name, studio.device)
+    chosen = Chosen()
     parts: dict[str, Callable[..., object]] = {
         "identity": lambda: page.out.append(identity),
         "menu": partial(_menu, session, studio),
@@ -51,7 +52,8 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
         "stops": _stops,
         "views": _views,
         "sweep": partial(draw_sweep, session),
-        "panels": partial(draw_panels, session),
+        "panels": partial(draw_panels, session, chosen),
+        "click reset": lambda _: session.reset(chosen.index),
         "jobs": partial(draw_jobs, studio.jobs),
         **painting.parts(),
     }

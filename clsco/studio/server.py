@@ -267,7 +267,7 @@ class Studio:
                     linked = await asyncio.to_thread(from_link, link, tab.session.readable)
                     tab.session.resume(linked, file, digest)
                     await preview.tell(resumed=True)
-            case {"do": "undo" | "redo" | "reset" as what}:
+            case {"do": "undo" | "redo" as what}:
                 getattr(tab.session, what)()
 
 

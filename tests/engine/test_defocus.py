@@ -337,14 +337,16 @@ def test_what_is_not_seen_has_no_effect_and_highlights_leave_no_dark_pixels() ->
 
 def test_wrong_layers_are_named() -> None:
     (image, coc), *_ = images(8, 9)
-    for layers, text in (
+    wrong: list[tuple[Any, str]] = [
         ([(image, coc)] * 9, "layers: must be at most 8; got 9"),
         ([(image, coc), (image[:4], coc[:4])], r"layers\[1\]: image: must have the shape \(8, 9, 4\) of the first one"),
         ([(image, coc), (image, coc[:4])], r"layers\[1\]: blur_radius: must have the rows and columns of the image"),
         ([(2 * image, coc)], r"layers\[0\]: image: alpha must be from 0 to 1; got 2"),
         ([(image[..., :1], coc)], r"layers\[0\]: image: must have alpha; got \(8, 9, 1\)"),
+        (np.stack([image] * 2), "layers: must be a list of pairs; got ndarray"),
         ((image, coc), "layers: must be pairs of an image and its blur radii; got something else"),
         ([], "layers: must be given in place of image and blur_radius; got both or none of them"),
-    ):
+    ]
+    for layers, text in wrong:
         with pytest.raises(clsco.ArgumentError, match=text):
             defocus(layers=layers)

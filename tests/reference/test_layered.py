@@ -112,6 +112,8 @@ def test_too_many_jumps_leave_the_smallest_alone() -> None:
     assert 0 < len(bounds) < MOST_LAYERS
     layer = label_depth_layers(coc, there, low, bins, bounds)[0]
     assert layer[30] < layer[32] < layer[34]  # -18.5, 0, 5
+    stairs = np.repeat(np.arange(12) * 3.0 - 18.0, 2)[None].repeat(2, axis=0)  # all of one class
+    assert len(cuts(stairs, np.ones(stairs.shape, dtype=bool), 20.0)) == MOST_LAYERS - 1
     noise = RNG(5).uniform(-20, 20, (30, 30))
     assert len(cuts(noise, np.ones(noise.shape, dtype=bool), 20.0)) < MOST_LAYERS
 

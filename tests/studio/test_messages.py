@@ -26,7 +26,7 @@ GOOD: tuple[dict[str, Any], ...] = (
     {"at": [1, 2]}, {"measure": [1, 2]}, {"overview": True}, {"focus": [1, 2], "drag": 4},
     {"grab": [1, 2], "drag": 5}, {"pull": [1.0, 2.0], "along": True, "drag": 5}, {"link": "#s=q1YqUbKqjq0FAA"},
     {"keyframe": "object.0.motion.keyframe", "add": 0.5}, {"keyframe": "lens.keyframe", "remove": 0},
-    {"do": "pin thesis"}, {"do": "cancel"}, {"do": "keep"}, {"do": "undo"}, {"do": "redo"}, {"do": "reset"},
+    {"do": "pin thesis"}, {"do": "cancel"}, {"do": "keep"}, {"do": "undo"}, {"do": "redo"},
     {"resume": {"scene": "#s=q1YqUbKqjq0FAA", "file": "a.toml", "digest": "0"}, "tab": "x"}, {"view": "depth"},
     {"frame": 0, "time": 0.1, "eye": "left", "again": True}, {"stack": [200.0, 400.0, 3]},
 )  # fmt: skip

@@ -21,7 +21,7 @@ from clsco.studio.page import draw
 from clsco.studio.server import Studio, application
 from clsco.studio.session import Document
 from clsco.studio.widgets.html import Dialog, Page, PagePart, button, check_box, notify, say, text_box
-from clsco.studio.widgets.panels import draw_panels
+from clsco.studio.widgets.panels import Chosen, draw_panels
 from tests.studio.test_messages import BAD, Said
 
 EMPTY = ("img", "input", "link", "meta")
@@ -162,7 +162,7 @@ def test_panels_are_folded_by_what_each_scene_uses(tmp_path: Path) -> None:
         (tmp_path / f"{name}.toml").write_text(f'{rest}[[object]]\nshape = "plane"\n')
     session, page = Document(tmp_path), Page()
     with page.current():
-        draw_panels(session)
+        draw_panels(session, Chosen())
 
     def opened(html: str) -> list[str]:
         return re.findall(r"<details.*?<h2>([^<]*)", html)
@@ -178,6 +178,19 @@ def test_panels_are_folded_by_what_each_scene_uses(tmp_path: Path) -> None:
     session.open(tmp_path / "plain.toml")
     (drawn,) = (said["html"] for said in page.taken() if "<details" in said["html"])
     assert opened(drawn) == thesis
+
+
+def test_reset_is_of_the_object_that_is_shown(tmp_path: Path) -> None:
+    studio = Studio(tmp_path)
+    session = studio.tabs[name := asyncio.run(studio.tab())].session
+    page, html = draw(name, studio, "http://127.0.0.1")
+    (swatch,) = re.findall(r'data-number="(\d+)"[^>]*aria-label="Object 2,', html)
+    (reset,) = re.findall(r'id="reset" data-on="click" data-number="(\d+)"', html)
+    before = session.table["object"]
+    page.hear(int(swatch), True)
+    page.hear(int(reset), True)
+    kept = {key: value for key, value in before[1].items() if key in ("name", "texture")}
+    assert session.table["object"] == [before[0], {"shape": "plane"} | kept, *before[2:]]
 
 
 def test_a_tab_has_one_page_and_those_that_are_forgotten_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,7 @@ const fromRuns = (runs) => {
 const count = (runs) => {
   const missing = runs.reduce((sum, run, k) => (k % 2 ? sum + run : sum), 0);
   say(`${missing} of ${mask.length} px are painted over`);
-  part("count").textContent = `${missing} px, ${(100 * missing / mask.length).toPrecision(2)} % are painted over`;
+  part("count").textContent = `${missing} px, ${Number((100 * missing / mask.length).toPrecision(2))} % are painted over`;
   part("undo").disabled = !past.length;
   part("redo").disabled = !future.length;
 };
@@ -224,9 +224,13 @@ const filled = async (method, methods = [...fillings.keys(), method]) => {
   for (const each of fillings.keys()) if (!methods.includes(each)) fillings.delete(each);
   const picture = new Image();
   picture.src = address("picture", `&which=${method}&at=${Date.now()}`);
-  await picture.decode();
-  fillings.set(method, picture);
-  chosen = method;
+  try {
+    await picture.decode();
+    fillings.set(method, picture);
+    chosen = method;
+  } catch { // the mask has changed since
+    fillings.delete(method);
+  }
   deal();
   draw();
 };
@@ -279,6 +283,7 @@ on("pointerdown", (event, target) => {
   pointer = viewport.at(event.clientX, event.clientY);
   if (tool === "color") {
     const [column, row] = pointer.map(Math.floor), tolerance = Number(part("tolerance").value) / 100;
+    if (Math.min(column, row) < 0 || column >= columns || row >= rows) return;
     remember(runsOf());
     send({ column, row, tolerance, erase: part("erase").checked });
     return;

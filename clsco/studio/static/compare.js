@@ -9,24 +9,24 @@ const WORDS = { "camera.f_number": (value) => `f/${brief(value)}`, "camera.focus
 
 /** @type {{ image: HTMLCanvasElement, values: Record<string, any> | null, view: string } | null} */
 let pinned = null; // values: of the scene; null as the thesis
-let waits = false, differs = false, flipped = false; // waits: for the next exact frame
+let waits = false, asked = false, differs = false, flipped = false; // waits: for the next exact frame; asked: for that of the thesis
 
 const pin = () => { // the exact frame
   waits = studio.rung !== RUNG.EXACT;
   if (!waits) keep(one("#canvas"), studio.view, { ...studio.values });
 };
 
-studio.pinned = (image, { full: [width, height], view }) => keep(image, view, null, width, height);
+studio.pinned = (image, { full: [width, height], view }) => { if (asked) keep(image, view, null, width, height); };
 
 const keep = (source, view, values, width = source.width, height = source.height) => {
   const image = made("canvas", { width, height });
   image.getContext("2d")?.drawImage(source, 0, 0);
-  pinned = { image, values, view };
+  [pinned, asked] = [{ image, values, view }, false];
   show();
 };
 
 const end = () => {
-  [pinned, waits, differs, flipped] = [null, false, false, false];
+  [pinned, waits, asked, differs, flipped] = [null, false, false, false, false];
   show();
 };
 
@@ -98,7 +98,7 @@ const difference = (canvas, over) => { // shown in place of the pinned frame; gi
 
 studio.compare = compare;
 const ACTIONS = {
-  this: pin, thesis: () => studio.send({ do: "pin thesis" }), toggle: () => { if (pinned || waits) end(); else pin(); show(); },
+  this: pin, thesis: () => { asked = true; studio.send({ do: "pin thesis" }); }, toggle: () => { if (pinned || waits) end(); else pin(); show(); },
   flip: () => { flipped = !flipped; show(); }, difference: () => { differs = pinned !== null && !differs; show(); },
 };
 const KEYS = { p: ACTIONS.toggle, d: ACTIONS.difference };

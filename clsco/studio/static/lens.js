@@ -145,8 +145,10 @@ const draw = () => {
   ruler(lens);
 };
 
-studio.hearing.push(({ lens, overview }) => {
+let scene = ""; // that the objects are of
+studio.hearing.push(({ lens, overview, file, title }) => {
   const ranges = overview?.ranges;
+  if (lens && scene !== (scene = `${file} ${title}`)) [objects, point] = [[], null]; // another one was opened
   if (ranges) objects = ranges.sort((a, b) => (a[1] ?? Infinity) - (b[1] ?? Infinity)); // from near to far
   if (lens) {
     studio.lens = lens;

@@ -65,6 +65,6 @@ studio.hearing.push((said) => {
 
 studio.escape = () => {
   if (document.querySelector("dialog[open]")) return;
-  if (!one("#progress").hidden && !canceled) studio.send({ do: "cancel" });
-  else if (one("#studio").classList.contains("making")) studio.dock("making", false);
+  if (one("#studio").classList.contains("making")) studio.dock("making", false);
+  else if (!one("#progress").hidden && !canceled) studio.send({ do: "cancel" });
 };

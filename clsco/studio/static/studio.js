@@ -169,7 +169,7 @@ const over = () => { // what is drawn over the picture, once before it is shown
   const canvas = one("#over"), { width, height } = stage, context = canvas.getContext("2d");
   [canvas.width, canvas.height] = [width, height];
   for (const draw of studio.overlays) draw(context, viewport.place);
-  if (viewport.scale >= NUMBERS_FROM) numbers(context, width, height);
+  if (viewport.scale >= NUMBERS_FROM && one("#canvas").width > 1) numbers(context, width, height);
 };
 
 const numbers = (context, width, height) => { // the codes, written in the pixels

@@ -50,9 +50,9 @@ class Chosen:
     before: dict[str, Any] = field(default_factory=dict)  # values of motions that were switched off, by path
 
 
-def draw_panels(session: Document) -> None:
+def draw_panels(session: Document, now: Chosen) -> None:
     """Draw the objects of a session and all panels, and redraw a part when its set of controls changes."""
-    now = Chosen(scene=session.state.opened)
+    now.scene = session.state.opened
 
     def draw() -> None:
         listed = panels(session, now.index)
