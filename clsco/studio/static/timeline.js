@@ -27,6 +27,7 @@ studio.wanted = () => ({ frame: studio.index, time: studio.moment, eye: studio.r
 const ask = () => {
   studio.rung = -1;
   forget();
+  if (studio.moment === null) one("#exposed").replaceChildren(); // those of another frame, until its own are told
   studio.send(studio.wanted());
   line();
   studio.badge();
