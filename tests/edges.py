@@ -35,13 +35,13 @@ class Edges:
 
     def written(self) -> list[tuple[int, int]]:
         """Size of each buffer with a written edge, and the first written place, bytes from its start."""
-        found = []
+        overwritten = []
         for block in self.blocks:
             places = np.flatnonzero(np.r_[block[:EDGE], block[-EDGE:]] != MARK)
             if places.size:
                 size, first = block.size - 2 * EDGE, int(places[0])
-                found.append((size, first - EDGE if first < EDGE else first - EDGE + size))
-        return found
+                overwritten.append((size, first - EDGE if first < EDGE else first - EDGE + size))
+        return overwritten
 
 
 @pytest.fixture(autouse=True)

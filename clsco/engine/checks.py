@@ -15,7 +15,7 @@ from clsco.optics.lens import LARGEST_BLUR
 MOST_IMAGES = 8  # that lie over each other
 
 
-def given_arrays(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
+def layer_arrays(image: Any, blur_radius: Any, layers: Sequence[tuple[Any, Any]]) -> tuple[list[str], list[Any]]:
     """Arrays of all layers, or of one image, and their names for messages."""
     if not isinstance(layers, tuple | list):
         raise ArgumentError(f"layers: must be a list of pairs; got {type(layers).__name__}")

@@ -14,7 +14,7 @@ import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
 from clsco.constants import DISCONTINUITY, TAP_LANES
-from clsco.engine.checks import check_layer, given_arrays
+from clsco.engine.checks import check_layer, layer_arrays
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import BlurWorkspace, shared_buffers
 from clsco.errors import SceneError
@@ -192,7 +192,7 @@ def defocus(  # noqa: PLR0913, a parameter for each option
             raise SceneError(f"{name}: must be {rule}; got {value!r}")
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
-    names, arrays = given_arrays(image, blur_radius, layers)
+    names, arrays = layer_arrays(image, blur_radius, layers)
     session, arrays, as_given = on_host(device, **dict(zip(names, arrays, strict=True)))
     arrays = [without_mask(*pair) for pair in zip(names, arrays, strict=True)]
     picture = arrays[0]

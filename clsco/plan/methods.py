@@ -17,7 +17,7 @@ Occlusion = Literal["visibility", "layered", "none"]
 # px: |R| times number of channels up to which "scatter", by atomics, is faster than "tiles", which tests the sources
 # around a pixel (`python -m benchmarks.speed.gpu`).
 FEW_TAPS = 6.0
-WIDE_BLUR = 6.0  # px, largest |R| up to which one cell of the lens is enough for layered occlusion
+WIDE_BLUR = 6.0  # px, largest |R| up to which layered occlusion has one cell of the lens by default
 
 MANY_RADII: tuple[Blur, ...] = ("gather", "scatter", "tiles")  # methods for sources with different radii
 HOW: dict[Blur, str] = {
@@ -94,8 +94,8 @@ class BlurSpec:
 def lens_cells(psf: PointSpread, method: Blur, border: str, largest: float, cells: int | None = None) -> int:
     """Cells of the lens along each axis for layered occlusion: `cells`, or by default 2 if blur is wide.
 
-    For |R| up to WIDE_BLUR px, one cell has the accuracy of four (`python -m benchmarks.truth.pictures`). Rims,
-    ellipses, and light that is returned to the frame need one. Raises SceneError.
+    largest: largest |R|, px. Small discs have too few taps for quadrants. Rims, ellipses, and light that is returned to
+    the frame need one cell. Raises SceneError.
     """
     separable = not psf.rims and psf.stretched == 0.0 and border == "lose"
     if cells is not None and (type(cells) is not int or cells not in ((1, 2) if separable else (1,))):

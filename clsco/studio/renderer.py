@@ -337,16 +337,16 @@ class _RenderWorker:
             if current is None or now - current[1] < TICK:
                 continue
             progress = live.session.progress if live is not None else None
-            found = RenderProgress("starting the device", 0, 0, 0.0)
+            state = RenderProgress("starting the device", 0, 0, 0.0)
             if progress is not None:
-                found = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
+                state = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
                 if progress.doing.startswith("compiling"):  # kernels of all programs, of which few are not needed
                     compiled, programs = tuple(live.session.compiled), tuple(live.session.programs.values())
-                    found = replace(found, done=len({shape[0] for shape in compiled}), total=sum(map(len, programs)))
-            if before != (current, found):
-                before, since = (current, found), now
+                    state = replace(state, done=len({shape[0] for shape in compiled}), total=sum(map(len, programs)))
+            if before != (current, state):
+                before, since = (current, state), now
             with suppress(OSError):
-                self._send(current[0], replace(found, still=now - since))
+                self._send(current[0], replace(state, still=now - since))
 
     def _coarse(self, number: int, job: PictureJob) -> None:
         size = with_resolution(job.scene).camera.frame_size
@@ -397,11 +397,11 @@ class _RenderWorker:
         prepared = prepare(rendered, request, device, files)
         whole = prepared if rendered is job.scene else prepare(job.scene, request, device, files)
         took = sum(frame.metadata["seconds"].values()) * len(whole.plans) if rendered is job.scene else None
-        found = {"plan": plan_line(prepared, seconds), "took": took} | exposure_of(frame, job.scene, whole.plan.samples)
+        about = {"plan": plan_line(prepared, seconds), "took": took} | exposure_of(frame, job.scene, whole.plan.samples)
         if rendered is job.scene:
             is_tilted = whole.plan.tilt and whole.plan.occlusion != "layered"
-            found["point"] = inspected(frame, job.scene, *focus_point(frame), is_tilted)
-        return found
+            about["point"] = inspected(frame, job.scene, *focus_point(frame), is_tilted)
+        return about
 
     def _ladders_of(self, job: PictureJob) -> Ladders:
         return self._ladders.setdefault((job.view, len(job.scene.objects), job.scene.moves), Ladders())
