@@ -234,15 +234,15 @@ def _blur(loaded: PictureLayers, computation: Computation) -> NDArray[np.float32
     options |= {"psf": scene.psf, "aperture": scene.aperture, "camera": scene.camera}
     item = next(item for item in scene.objects if isinstance(item, DepthMap))
     options["soft_edges"] = item.soft_edges
+    given: dict[str, Any] = {"layers": loaded.layers}
     if loaded.is_opaque and len(loaded.layers) == 1:
         ((rgba, radius),) = loaded.layers
-        light = rgba[..., : 1 if loaded.is_gray else 3]
-        image, report = defocus(light, radius, return_report=True, **options)
-        if report.soft_edges:
-            note = f"{report.soft_edges} of {radius.size} pixels at soft edges get the depth of one side"
-            report_notes(str(item.depth), [note])
-    else:
-        image = defocus(layers=loaded.layers, **options)
+        given = {"image": rgba[..., : 1 if loaded.is_gray else 3], "blur_radius": radius}
+    image, report = defocus(**given, return_report=True, **options)
+    if report.soft_edges:
+        where = str(item.depth) if len(loaded.layers) == 1 else "layers"
+        pixels = sum(radius.size for _, radius in loaded.layers)
+        report_notes(where, [f"{report.soft_edges} of {pixels} pixels at soft edges get the depth of one side"])
     rows, columns = (slice(more, length - more) for more, length in zip(loaded.margin, image.shape, strict=False))
     if not loaded.is_opaque:
         return image[rows, columns]

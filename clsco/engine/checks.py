@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError
+from clsco.files.images import LARGEST
 from clsco.opencl.arrays import check_image
 from clsco.optics.lens import LARGEST_BLUR
 
@@ -43,10 +44,11 @@ def check_layer(name: str, picture: NDArray[Any], radii: NDArray[Any], shape: tu
     for what, array in (("image", picture), ("blur_radius", radii)):
         if array.dtype.kind not in "fiu":
             raise ArgumentError(f"{name}{what}: must hold real numbers; got {array.dtype}")
-        ends.append((float(array.min()), float(array.max())))  # not finite if a value is not; needs no mask
-        if not np.isfinite(ends[-1]).all():
-            bad = int((~np.isfinite(array)).sum())
-            raise ArgumentError(f"{name}{what}: must be finite; got {bad} values that are not")
+        ends.append((float(array.min()), float(array.max())))  # NaN if a value is; needs no mask
+        if not max(map(abs, ends[-1])) <= LARGEST:
+            bad = int((~(np.abs(array.astype(np.float64)) <= LARGEST)).sum())
+            rule = f"must be finite, and at most {LARGEST:g} in size"
+            raise ArgumentError(f"{name}{what}: {rule}; got {bad} others")
     if picture.dtype.kind != "f":
         kinds = "floats" if alpha else "floats, uint8 or uint16"
         raise ArgumentError(f"{name}image: must be {kinds}; got {picture.dtype}")

@@ -193,6 +193,8 @@ def defocus(  # noqa: PLR0913, a parameter for each option
     model = psf_of(psf).of_images()
     opening, lens_camera = aperture_of(aperture, model), camera_of(camera)
     names, arrays = layer_arrays(image, blur_radius, layers)
+    if layers and model.occlusion == "none":
+        raise SceneError('psf.occlusion: must be "layered" for layers; got "none"')
     session, arrays, as_given = on_host(device, **dict(zip(names, arrays, strict=True)))
     arrays = [without_mask(*pair) for pair in zip(names, arrays, strict=True)]
     picture = arrays[0]

@@ -21,6 +21,8 @@ from clsco.files.png import Codes, png_parts
 from clsco.files.ranges import first_of
 from clsco.files.transfer import decode, encode, has_alpha
 
+LARGEST = 1e36  # size of radiance: sums over an image are finite float32
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:
@@ -150,11 +152,13 @@ def _as_stored(file: BinaryIO, data: NDArray[Any], hidden: NDArray[np.bool_] | N
         raise_file_error(path_of(file), "values must be uint8, uint16, float16, float32 or float64", data.dtype)
     with np.errstate(over="ignore"):  # overflow becomes infinite, which is refused next
         data = data.astype(np.float32, copy=False)
-    wrong = ~np.isfinite(data)
+    wrong = ~(np.abs(data) <= LARGEST)
     if hidden is not None:
         wrong[hidden] = False
     if wrong.any():
-        raise_file_error(path_of(file), "values must be finite", first_of(data, wrong))
+        raise_file_error(
+            path_of(file), f"values must be finite, and at most {LARGEST:g} in size", first_of(data, wrong)
+        )
     return data
 
 

@@ -68,10 +68,12 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
     of_lens = (focus is None and max_blur is None) or any(item.unit == "coc" for item in items)
     pinhole = {} if of_lens else {"aperture_diameter": MIN_LENGTH_MM}  # so that no depth is too near
     of_depths = wide.model_copy(update={"camera": wide.camera.model_copy(update=pinhole)})
-    values, notes = [], []
+    values, notes, clamped = [], [], []
     for item, picture, alpha, depths in zip(items, pictures, alphas, numbers, strict=True):
         zero_is_number = item.unit == "coc" or item.near is not None
         own, moved = assign_covered_depths(_fit(depths, shape), alpha, zero_is_number)
+        own, beyond = _clamp(own, item, max_blur) if max_blur and item.unit == "coc" else (own, np.zeros(shape, bool))
+        clamped.append(beyond & (alpha > 0))
         hard = item.model_copy(update={"soft_edges": "keep"})
         value = map_values(of_depths, hard, own) if alpha.any() else DepthValues(np.full(shape, FARTHEST), {}, 0)
         values.append(value.inverse_depth)
@@ -84,8 +86,8 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
         wide = wide.model_copy(update={"camera": framed.camera.model_copy(update={"resolution": shape[::-1]})})
     lens, (x, y) = lens_at(wide, 0.0), ray_slopes(reference_camera(wide), *np.ogrid[: shape[0], : shape[1]])
     radii, most = [lens.image_radius(w, x, y) for w in values], max_blur or LARGEST_BLUR
-    for item, w, radius in zip(items, seen, radii, strict=True):
-        if beyond := np.count_nonzero((np.abs(radius[inside]) > most) & (w > 0)):
+    for item, w, radius, already in zip(items, seen, radii, clamped, strict=True):
+        if beyond := np.count_nonzero(already[inside] | ((np.abs(radius[inside]) > most) & (w > 0))):
             if max_blur is None:
                 raise FileError(f"{item.depth}: blur radii must be at most {most:g} px; got more in {beyond} pixels")
             notes.append((str(item.depth), f"R of {beyond} of {w.size} pixels is clamped to {most:g} px"))
@@ -123,6 +125,16 @@ def _fit(array: NDArray[Any], shape: Sequence[int]) -> NDArray[Any]:
             at = np.arange(length) - (length - array.shape[axis]) // 2
             array = array.take(mirrored(at, array.shape[axis]), axis)
     return array
+
+
+def _clamp(numbers: NDArray[Any], item: DepthMap, most: float) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Numbers whose R, in px, is at most `most` in size, and a mask of those that were larger. No depth has an R beyond
+    that of infinity.
+    """
+    offset = item.offset or 0.0
+    radius = numbers * np.float64(item.scale) + offset
+    beyond = np.isfinite(radius) & (np.abs(radius) > most)
+    return np.where(beyond, (np.copysign(most, radius) - offset) / item.scale, numbers), beyond
 
 
 def assign_covered_depths(

@@ -38,9 +38,9 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[Array, Array]]]:
     """Layers of each call of `clsco.defocus`, whose place is taken by a function that returns the first layer."""
     layers_of_calls: list[list[tuple[Array, Array]]] = []
 
-    def defocus(image: Any = None, radius: Any = None, layers: Any = None, **_: Any) -> Any:
-        layers_of_calls.append(list(layers or [(image, radius)]))
-        return layers[0][0] if layers else (image, DefocusReport(0))
+    def defocus(image: Any = None, blur_radius: Any = None, layers: Any = None, **_: Any) -> Any:
+        layers_of_calls.append(list(layers or [(image, blur_radius)]))
+        return (layers[0][0], DefocusReport(3)) if layers else (image, DefocusReport(0))
 
     monkeypatch.setattr(clsco, "defocus", defocus)
     return layers_of_calls
@@ -113,6 +113,7 @@ def test_layers_in_files_and_in_one_file(tmp_path: Path, calls: list[Any]) -> No
     words = ("--layer", f"{tmp_path / 'plate.png'}:{tmp_path / 'z.png'}", "--layer", fg, "--set", "object.0.scale=0.02")
     result = done("defocus", *words, "-o", tmp_path / "a.png", *LENS, "--max-blur", 2)
     assert "z.png: R of 30 of 48 pixels is clamped to 2 px\n" in result.stderr
+    assert "layers: 3 of 96 pixels at soft edges get the depth of one side\n" in result.stderr
     (back, far), (front, near) = calls[-1]
     np.testing.assert_allclose(back, np.dstack([decode(CODES, "srgb"), Z > 0]), atol=1e-6)
     np.testing.assert_array_equal(front, RGBA)
@@ -125,6 +126,16 @@ def test_layers_in_files_and_in_one_file(tmp_path: Path, calls: list[Any]) -> No
     np.testing.assert_array_equal(back[..., :3], RGB[::-1])
     check_radius(near[:, 3:6], Z[:, 3:6])
     check_radius(far, Z + 1)
+
+
+def test_blur_radii_beyond_the_limit(tmp_path: Path, calls: list[Any]) -> None:
+    radius = np.linspace(-400, 700, 48, dtype=np.float32).reshape(6, 8)
+    np.save(tmp_path / "coc.npy", -2 * radius)
+    write_png(tmp_path / "a.png", CODES)
+    words = tmp_path / "a.png", tmp_path / "coc.npy", *LENS, "--unit", "coc", "--scale", -0.5, "--max-blur", 3
+    result = done("defocus", *words, "-o", tmp_path / "b.png")
+    assert "coc.npy: R of 47 of 48 pixels is clamped to 3 px\n" in result.stderr
+    np.testing.assert_allclose(calls[-1][0][1], np.clip(radius, -3, 3), rtol=1e-6)
 
 
 def test_a_sequence_with_a_focus_track(tmp_path: Path, calls: list[Any]) -> None:

@@ -236,8 +236,8 @@ ONES = np.ones((4, 5), np.float32)
     [
         ((ONES, np.ones((5, 4))), "blur_radius: must have the rows and columns of the image, (4, 5); got (5, 4)"),
         ((ONES[0], np.ones(5)), "image: must have the shape"),
-        ((ONES, np.full((4, 5), np.nan)), "blur_radius: must be finite; got 20 values that are not"),
-        ((np.full((4, 5), np.inf, np.float32), ONES), "image: must be finite"),
+        ((ONES, np.full((4, 5), np.nan)), "blur_radius: must be finite, and at most 1e+36 in size; got 20 others"),
+        ((np.full((4, 5), 2e36, np.float32), ONES), "image: must be finite, and at most 1e+36 in size; got 20 others"),
         ((np.ones((4, 5), np.int32), ONES), "image: must be floats, uint8 or uint16; got int32"),
         ((ONES, np.full((4, 5), 1e4)), "blur_radius: must be at most 512 px; got 1e+04 px"),
         ((ONES, ONES, {"edge": "sharp"}), "psf.edge"),
@@ -332,7 +332,7 @@ def test_what_is_not_seen_has_no_effect_and_highlights_leave_no_dark_pixels() ->
     bright, coc = np.full((24, 24), 0.5), np.where(np.arange(24) < 12, -3.0, 5.0)[None].repeat(24, 0)
     bright[10, 10] = 1e6
     assert defocus(bright, coc).min() >= 0.5 * (1 - 1e-6)
-    np.testing.assert_allclose(defocus(np.full((24, 24), 1e37), coc), 1e37, rtol=1e-6)
+    np.testing.assert_allclose(defocus(np.full((24, 24), 1e36), coc), 1e36, rtol=1e-6)
 
 
 def test_wrong_layers_are_named() -> None:
@@ -350,3 +350,5 @@ def test_wrong_layers_are_named() -> None:
     for layers, text in wrong:
         with pytest.raises(clsco.ArgumentError, match=text):
             defocus(layers=layers)
+    with pytest.raises(clsco.SceneError, match=r'psf\.occlusion: must be "layered" for layers; got "none"'):
+        defocus(layers=[(image, coc)], psf={"occlusion": "none"})

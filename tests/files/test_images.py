@@ -239,7 +239,7 @@ OBJECTS = encoded(np.save, np.array([[{}]]), allow_pickle=True)
 WHOLE = "must be a whole PNG; got "
 LIMIT = "columns and rows must be from 1 to 65536, and at most 134217728 pixels; got "
 
-VALUES = "values must be finite; got "
+VALUES = "values must be finite, and at most 1e+36 in size; got "
 DTYPES = "values must be uint8, uint16, float16, float32 or float64; got "
 NUMBERS = "an NPY must hold numbers of shape (rows, columns) or (rows, columns, 3); got "
 CONTENT = "the content must be PNG, as the extension says; got "
