@@ -135,7 +135,7 @@ WHITE = np.ones((ROWS, COLUMNS), np.float32)
          "{mask}: values must be 0 (known) or 255 (missing), or give --threshold; got 1 at row 0, column 11 ("),
         (CODES, COLORS, "out.png", "{mask}: a mask must be gray; got colors"),
         (CODES, MASK | 255, "out.png", "{mask}: some pixel must be known, and be 0; got only missing ones"),
-        (WRONG, MASK, "out.tif", "{image}: values must be finite, and at most 1e+36 in size; got nan at row 2, column 1"),
+        (WRONG, MASK, "out.tif", "{image}: values must be finite, and at most 1e+36 in size; got nan at row"),
         (WHITE, MASK, "out.png", "{out}: a PNG holds codes; for floats it must end in .tif, .tiff or .exr; got"),
         (CODES, MASK, "out.exr", "{out}: an EXR holds floats; for codes it must end in .png, .tif or .tiff; got the"),
         (CODES, MASK, "out.jpg", "{out}: must be a file that ends in one of .png .tif .tiff .exr; got '.jpg'"),
