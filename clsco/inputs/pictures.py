@@ -72,8 +72,8 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
     for item, picture, alpha, depths in zip(items, pictures, alphas, numbers, strict=True):
         zero_is_number = item.unit == "coc" or item.near is not None
         own, moved = assign_covered_depths(_fit(depths, shape), alpha, zero_is_number)
-        own, beyond = _clamp(own, item, max_blur) if max_blur and item.unit == "coc" else (own, np.zeros(shape, bool))
-        clamped.append(beyond & (alpha > 0))
+        own, larger = _clamp(own, item, max_blur) if max_blur and item.unit == "coc" else (own, np.zeros(shape, bool))
+        clamped.append(larger & (alpha > 0))
         hard = item.model_copy(update={"soft_edges": "keep"})
         value = map_values(of_depths, hard, own) if alpha.any() else DepthValues(np.full(shape, FARTHEST), {}, 0)
         values.append(value.inverse_depth)

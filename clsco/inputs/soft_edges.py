@@ -45,7 +45,8 @@ class _Edges:
     line: number of the line. first: position in the line of the first surface's last pixel; the next `count` pixels are
     between the two surfaces. step: change of blur radius over the whole edge, signed, px. begin, end: radius of the
     first and of the second surface at the pixel next to the edge. begin_slope, end_slope: change of this radius per
-    pixel away from the edge. begin_over, end_over: number of pixels next to the edge that overshoot.
+    pixel away from the edge. begin_over, end_over: number of pixels next to the edge that overshoot, or that the last
+    step of the edge has changed a little.
     """
 
     line: Indices
@@ -217,7 +218,8 @@ def _length(steps: Array) -> Indices:
 def _surface(
     radius: Array, stored: Array, line: Indices, place: Indices, other: Indices, way: int
 ) -> tuple[Array, Array, Indices]:
-    """Blur radius of a surface next to an edge, its slope away from the edge, and the number of overshooting pixels.
+    """Blur radius of a surface next to an edge, its slope away from the edge, and the number of its pixels with another
+    radius.
 
     place, other: columns of the last pixel of this and of the other surface; way: direction from the edge, 1 or -1.
     """
@@ -233,8 +235,9 @@ def _surface(
     most, spread = beyond.max(axis=1), np.ptp(shape[:, SURFACE:], axis=1) / np.abs(step)
     over = np.where(beyond > OVER, np.arange(1, SURFACE + 1), 0).max(axis=1)
     over[(most > RINGING) | (spread > np.maximum(2 * OVER, SETTLED * most))] = 0
-    level = np.median(values[:, SURFACE:], axis=1)
-    return np.where(over > 0, level, value), np.where(over > 0, 0.0, slope), over
+    level, mixed = np.median(values[:, SURFACE:], axis=1), (values[:, 0] - value) / (radius[line, other] - value)
+    own = value, slope, (mixed > 0) & (mixed <= LEAST)  # the last step of an edge may be too small to be found
+    return tuple(np.where(over > 0, *each) for each in zip((level, 0.0, over), own, strict=True))
 
 
 def _supported(edges: _Edges, columns: int) -> _Edges:

@@ -91,6 +91,8 @@ def test_an_edge_becomes_that_of_the_hard_map(way: str, colored: bool) -> None:
     # What is left is at 45 degrees, where an edge blurred by 2 px is longest.
     assert ((found > NEAR + 2) & (found < FAR - 2)).sum() < (0.15 if "2 px" in way else 0.01) * outline
     assert (np.abs(found - HARD) > 1.5).sum() < (0.25 if "2 px" in way else 0.15) * outline
+    few = (COVERED > 0) & (COVERED < 1) & (np.abs(COVERED - 0.5) > 0.45)  # in steps that are too small to be an edge's
+    assert way != "averaged" or (np.abs(found - HARD)[few] > 0.01).sum() < 0.4 * few.sum()
 
 
 def test_surfaces_go_on_as_they_are() -> None:
