@@ -12,6 +12,7 @@
 #define SETTLED (CHANNELS + 3)
 #define PLANES (CHANNELS + 4)
 #define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
+#define PULLED 0.015625f  // weight of pulled light beside known light, so that a slanted surface goes on where it ends
 #define GAIN 4.0f         // steepness of a hidden outline
 
 // A pixel's part of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
@@ -146,7 +147,7 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
         const around_t near = around(from + KNOWN * from_plane, rows, columns, y, x);
         for (int c = 0; c <= RADIUS; ++c)
             to[c * plane] = between(from + c * from_plane, near);
-        to[KNOWN * plane] = near.sum > 0;
+        to[KNOWN * plane] = near.sum > 0 ? PULLED : 0;
     }
     if (to[SETTLED * plane] == 0) {
         const around_t near = around(from + SETTLED * from_plane, rows, columns, y, x);

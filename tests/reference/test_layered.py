@@ -228,6 +228,15 @@ def test_an_outline_goes_on_behind_what_is_nearer() -> None:
     np.testing.assert_array_equal(behind[..., 1], 1.0)  # 0.1 and 0 px are one surface
 
 
+def test_a_slanted_surface_goes_on_beyond_a_cut_wherever_that_is() -> None:
+    y, _ = np.indices((160, 8))
+    for cut in range(64, 130):
+        layer, coc = np.where(y < cut, 1, 2).astype(np.uint8), 0.1 * (y - cut)
+        none, parts = np.zeros_like(layer), (np.zeros((160, 8, 1)), np.zeros((160, 8, 1)), np.zeros((160, 8)))
+        _, radius = take_sheet(np.ones((160, 8, 1)), np.ones((160, 8)), coc, layer, (none, none), parts, 2, 6)
+        np.testing.assert_array_equal(radius[cut - 1], coc[cut - 1])
+
+
 def test_composite_takes_the_room_that_is_left() -> None:
     total, room = np.zeros((1, 3, 1)), np.array([[1.0, 1.0, 0.5]])
     total, room = composite(total, room, np.array([[[0.4, 0.5, 1.0], [0.9, 1.2, 1.2], [0.2, 0.5, 0.5]]]))

@@ -30,6 +30,7 @@ LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of i
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
 SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
+PULLED = 1 / 64  # weight of pulled light beside known light, so that a slanted surface goes on where it ends
 FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
 QUADRANTS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y on the lens
 OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
@@ -197,13 +198,15 @@ def _around(coarse: Array, shape: tuple[int, ...]) -> tuple[Array, Mask]:
     return np.where(share > 0, sums[..., :-1] / np.where(share > 0, share, 1.0), 0.0), share > 0
 
 
-def pull(fine: Array, coarse: Array) -> Array:
-    """A level (H, W, C + 1) with its unknown pixels filled from the next coarser one."""
+def pull(fine: Array, coarse: Array, pulled: float = 1.0) -> Array:
+    """A level (H, W, C + 1) with its unknown pixels filled from the next coarser one. pulled: weight that these have
+    beside known ones.
+    """
     surrounding, exists = _around(coarse, fine.shape)
-    return np.where(fine[..., -1:] > 0, fine, np.concatenate([surrounding, exists * 1.0], axis=-1))
+    return np.where(fine[..., -1:] > 0, fine, np.concatenate([surrounding, exists * pulled], axis=-1))
 
 
-def _spread(values: Array, weight: Array, levels: int) -> Array:
+def _spread(values: Array, weight: Array, levels: int, pulled: float = 1.0) -> Array:
     """Values (H, W, C) where they are not known, by push-pull (Gortler et al. 1996); weight: (H, W), 0 for unknown."""
     pyramid = [np.concatenate([values, np.ones((*weight.shape, 1))], axis=-1) * (weight[..., None] > 0)]
     pyramid.append(push(np.concatenate([pyramid[0][..., :-1], weight[..., None]], axis=-1)))
@@ -211,7 +214,7 @@ def _spread(values: Array, weight: Array, levels: int) -> Array:
         pyramid.append(push(pyramid[-1]))
     coarse = pyramid[-1]
     for fine in pyramid[-2::-1]:
-        coarse = pull(fine, coarse)
+        coarse = pull(fine, coarse, pulled)
     return coarse[..., :-1]
 
 
@@ -231,7 +234,7 @@ def take_sheet(
     share = np.where(shared, near_share, np.where(own, alpha, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
     weight = np.asarray(own * alpha, dtype=np.float64)
-    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), weight, levels)
+    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), weight, levels, PULLED)
     visible, hidden = share > 0, (layer > 0) & (layer < which)
     outline = _spread(share[..., None], (~hidden).astype(np.float64), levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
