@@ -27,20 +27,21 @@ CACHE_FORMAT = 3  # part of the key of cached images; a change of what is comput
 
 
 def traced(
-    scene: Any, noise: float, cache: Path | None = None, frame: int = 0, report: Callable[[str], object] = print
-) -> tuple[Array, Array]:
+    scene: Any, noise: float, cache: Path | None = None, frame: int = 0, report: Callable[[str], object] = print,
+    seed: int = 0,
+) -> tuple[Array, Array]:  # fmt: skip
     """Trace a frame of a scene with its resolution until the RMS of its standard errors is below `noise`.
 
     Returns the image (rows, columns[, channels]), linear, and its standard errors, whose RMS over any pixels is the
     noise there. `cache`: folder of earlier results, keyed by what rays know of the scene.
     """
     problem = make_problem(scene, frame)
-    path = None if cache is None else cache / f"traced_{_key(problem, noise)}.npz"
+    path = None if cache is None else cache / f"traced_{_key(problem, noise)}_{seed}.npz"
     if path is not None and path.exists():
         with np.load(path, allow_pickle=False) as stored:
             return stored["image"], stored["error"]
     began = time.perf_counter()
-    image, error = trace_frame(problem, noise, MOST_RAYS)
+    image, error = trace_frame(problem, noise, MOST_RAYS, seed)
     report(f"traced {image.shape[0]} x {image.shape[1]}: {rms(error):.2e} RMS, {time.perf_counter() - began:.1f} s")
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)

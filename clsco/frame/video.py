@@ -182,9 +182,7 @@ def _pictures(frames: FrameFolder, eye: str, view: str) -> Iterator[NDArray[Any]
 
 
 def _beside(left: NDArray[Any], right: NDArray[Any], transfer: str) -> NDArray[Any]:
-    """Two images side by side: on the left linear radiance, encoded in the bits and the curve of the codes on the
-    right.
-    """
+    """Two images side by side: linear radiance, encoded in the bits and the curve of the codes on the right."""
     if left.shape[:2] != right.shape[:2]:
         raise FileError(f"compare: sharp and color must have one size; got {left.shape[:2]} and {right.shape[:2]}")
     left = encode(left, 8 * right.dtype.itemsize, transfer)

@@ -198,8 +198,6 @@ def shared_files() -> InputFiles:
 
 
 def _stamp(path: str) -> tuple[int, ...]:
-    """Numbers that change when a file does: device, inode, size in bytes, and times of changes of content and status,
-    ns.
-    """
+    """Numbers that change when a file does: device, inode, size in bytes, times of content and status in ns."""
     state = Path(path).stat()
     return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns

@@ -51,9 +51,7 @@ def chord_weights(
 
 
 def _parts(borders: Borders | None) -> list[tuple[float, Array | None]]:
-    """Convex parts of an opening, each with its sign: (1, None) for all of it without holes, (-1, circle) for each
-    hole.
-    """
+    """Convex parts of an opening with their signs: (1, None) for all of it without holes, (-1, circle) for a hole."""
     return [(1.0, None), *((-1.0, np.array(hole)) for hole in (borders.holes if borders else ()))]
 
 

@@ -97,9 +97,7 @@ class PointSpread:
 
     @cached_property
     def places(self) -> tuple[PointSpread, ...]:
-        """PSFs that have tables: at the positions `SeidelField.nodes`, or only this PSF if it does not vary over the
-        frame.
-        """
+        """PSFs that have tables: at the positions `SeidelField.nodes`, or only this one if it does not vary."""
         return (self,) if self.varying is None else tuple(self.at(*node) for node in self.varying.nodes)
 
     @property

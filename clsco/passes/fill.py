@@ -162,9 +162,7 @@ class Filler:
         return self._read_counters()
 
     def _score(self, brightest: float, events: Events) -> int:
-        """Integer whose bit k is set if the median is a better estimator than the mean for pixels with k known
-        neighbors.
-        """
+        """Integer whose bit k is set if the median is better than the mean for pixels with k known neighbors."""
         scale, scored = score_scale(brightest), self.rows * -(-self.columns // SCORED_COLUMNS)
         args = (self.grid, np.float32(scale), self.planes.value, self.planes.valid, self.planes.sums)
         self.target.run("score_mean_median", (scored,), OWNERS, events, *args)

@@ -30,9 +30,7 @@ def _aperture_mm(data: dict[str, Any]) -> float:
 
 
 def _sensor_distance_mm(data: dict[str, Any]) -> float:
-    """Default of the sensor distance s, mm: 1/s = 1/f - 1/u, or without u the thesis' 21.739 mm for f = 20, scaled by
-    f.
-    """
+    """Default of the sensor distance s, mm: 1/s = 1/f - 1/u, or without u the thesis' 21.739 mm times f / 20."""
     f, u = data["focal_length"], data["focus_distance"]
     return float(21.739 * f / 20.0 if u is None else image_distance(f, u))
 

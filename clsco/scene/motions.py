@@ -76,8 +76,7 @@ Keyframes = Annotated[tuple[Keyframe, ...], SCHEMA, AfterValidator(in_order), LI
 
 
 class ObjectMotion(Strict):
-    """Motion of an object, which rotates about its origin: velocities at t = 0 and constant accelerations, or
-    keyframes."""
+    """Motion of an object, which rotates about its origin: velocities at t = 0 and accelerations, or keyframes."""
 
     velocity: Velocity = NONE
     """Right, up, away from the camera; mm/s."""

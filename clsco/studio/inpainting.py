@@ -62,9 +62,7 @@ class Inpainting:
         self.results: dict[str, FilledImage] = {}
 
     def open(self, name: str) -> None:
-        """Open another image, without a mask. Raises FileError if it is not below the root, cannot be read, or is too
-        large.
-        """
+        """Open another image, without a mask. Raises FileError if it is not below the root, unreadable or too large."""
         picture = self._read(name)
         image = picture.data
         if image.shape[0] * image.shape[1] > LARGEST:

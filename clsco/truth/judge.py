@@ -158,9 +158,7 @@ class Judgement:
 
 
 def judged_frame(scene: Scene, frame: Frame) -> Frame:
-    """A frame with `check` in its metadata: figures from some rays at each tested pixel, or the reason why there are
-    none.
-    """
+    """A frame with `check` in its metadata: figures from some rays at each tested pixel, or why there are none."""
     why = not_judged(scene)
     if why is None and (scene.sensor is not None or "color" not in frame.arrays()):
         why = "rays tell light, and not what a sensor or a scene without an image has"
@@ -299,9 +297,7 @@ def _boxes(problem: Problem) -> Iterator[tuple[int, tuple[float, ...], tuple[flo
 
 
 def _reach(problem: Problem) -> tuple[float, float]:
-    """Extent of a blur with R = 1 px, enlarged by a fifth, and the largest displacement of rays by wavefront errors,
-    px.
-    """
+    """Extent of a blur with R = 1 px, enlarged by a fifth, and px by which wavefront errors move rays at most."""
     pupil, (step, half, *_) = problem.optics.pupil, problem.moments.lenses[0]
     grid = np.linspace(0.0, 0.999, 24)
     at = np.array([lens_point(u, v, *pupil)[:2] for u in grid for v in grid])

@@ -175,9 +175,7 @@ def _pose(posed, poses, moment, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _texel(x, y, z, n, mapping):  # type: ignore[no-untyped-def]
-    """Index of the texel, a square of constant radiance, that the camera of the reference pose sees at a point (x, y,
-    z).
-    """
+    """Index of the texel, a square of constant radiance, that the reference pose's camera sees at a point (x, y, z)."""
     first, rows, columns = int(mapping[1]), int(mapping[2]), int(mapping[3])
     x, y, _, _, _ = distorted(x / z, y / z, n)
     j = texel(math.floor(x / n[2] + 0.5 * columns), columns, MIRROR)
@@ -280,9 +278,7 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
 
 @njit(cache=True)
 def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
-    """Set rays from their lens points to points in a rectangle around a point of an object's frame, and set their
-    weights.
-    """
+    """Set rays from their lens points to points in a rectangle around a point of an object's frame, and weights."""
     p0, p1, p2, p3, p4 = place
     for s in range(count):
         lens, m = moments.lenses[moment[s]], posed[s:]

@@ -68,9 +68,7 @@ def shake_at(sines: Array, times: Array) -> tuple[Array, Array]:
 
 
 def path_at(keys: Sequence[float], values: Array, interpolation: str, outside: str, times: Array) -> Array:
-    """Values (times, size) of a path through keys; before the first and after the last key it is extended linearly or
-    held.
-    """
+    """Values (times, size) of a path through keys, which is extended linearly beyond its ends, or held."""
     knots, at = np.asarray(keys, float), np.clip(times, keys[0], keys[-1])
     if interpolation == "step" or len(knots) == 1:
         return np.asarray(values[np.maximum(np.searchsorted(knots, times, side="right") - 1, 0)])

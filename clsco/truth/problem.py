@@ -146,9 +146,7 @@ def not_judged(scene: Scene) -> str | None:
 
 
 def make_problem(scene: Scene, frame: int = 0, eye: str = "") -> Problem:
-    """Read a scene that rays can predict, with its resolution; frame: index; eye: left or right view of a stereo
-    pair.
-    """
+    """Read a scene that rays can predict, with its resolution; frame: index; eye: view of a stereo pair."""
     aperture, pupil = scene.aperture.model_copy(update={"exposure": "normalized"}), pupil_of(scene)
     textures = shared_files().textures(scene.model_copy(update={"aperture": aperture}))
     exposure = pupil.light if scene.aperture.exposure == "area" else 1.0

@@ -64,9 +64,7 @@ def pupil_of(scene: Any) -> Pupil:
 
 
 def _cells(scene: Any) -> Array:
-    """Transmission (n, n) of the aperture image, 0 outside its inscribed circle, scaled to a maximum of 1; row 0 on
-    top.
-    """
+    """Transmission (n, n) of the aperture image, 0 outside its inscribed circle, its maximum 1; row 0 on top."""
     picture = picture_of(scene.aperture.inputs()["image"])
     linear = decode(picture.data, picture.color.transfer(scene.image.transfer))
     linear = linear[..., 0] if linear.ndim == 3 else linear

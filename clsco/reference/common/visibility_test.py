@@ -200,9 +200,7 @@ def cut_weights(visibility: Visibility, weight: Array, dx: float, dy: float, poi
 
 
 def _inside(visibility: Visibility, x: Array, y: Array) -> tuple[Array, ...]:
-    """Taps of wide lenses moved to the mean of the part that each edge of the lens mask leaves, and xx, xy, yy of a
-    `Cut`.
-    """
+    """Taps of wide lenses moved to the mean of what each edge of the lens mask leaves, and xx, xy, yy of a `Cut`."""
     right, down, xx, xy, yy = np.zeros((5, *x.shape))
     turn = np.where(visibility.radius < 0, -1.0, 1.0)
     for nx, ny, distance in visibility.psf.pupil.edges:

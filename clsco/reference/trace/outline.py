@@ -84,9 +84,7 @@ def is_at_limb(view: View, label: int, rays: Array, samples: int) -> Array:
 
 
 def end_of_root(view: View, label: int, start: Array, stop: Array) -> Array:
-    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` at which a root, visible at `start`, ends; 1 for
-    none.
-    """
+    """Fraction (n,) of the way from rays `start` (n, 3) to `stop` where a root, visible at `start`, ends; else 1."""
     at_start, at_stop = (root_margins(view, label, rays)[1] for rays in (start, stop))
     inside, fails = np.maximum(at_start, 0.0), at_stop < 0.0
     return np.asarray(np.where(fails, inside / np.where(fails, inside - at_stop, 1.0), 1.0).min(axis=0))
