@@ -12,7 +12,7 @@
 #define SETTLED (CHANNELS + 3)
 #define PLANES (CHANNELS + 4)
 #define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
-#define PULLED 0.015625f  // weight of pulled light beside known light, so that a slanted surface goes on where it ends
+#define PULLED 0.015625f  // weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 #define GAIN 4.0f         // steepness of a hidden outline
 
 // A pixel's part of a sheet. light: its radiance, planes apart, to be multiplied by scale; share: its coverage;
@@ -111,14 +111,17 @@ typedef struct {
     float sum;
 } around_t;
 
-// Pixels of the coarser level (rows, columns) around pixel (y, x) of the finer one; known: plane of the coarser level.
-static around_t around(__global const float *known, int rows, int columns, int y, int x) {
+// Pixels of the coarser level (rows, columns) around pixel (y, x) of the finer one; known: plane of the coarser level;
+// alike: true if pulled pixels count as much as known ones.
+static around_t around(__global const float *known, int rows, int columns, int y, int x, bool alike) {
     const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
     const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
     around_t near;
     near.place = (int4)(row, row, other_row, other_row) * columns + (int4)(column, other_column, column, other_column);
-    near.share = (float4)(0.5625f, 0.1875f, 0.1875f, 0.0625f) *
-                 (float4)(known[near.place.x], known[near.place.y], known[near.place.z], known[near.place.w]);
+    near.share = (float4)(known[near.place.x], known[near.place.y], known[near.place.z], known[near.place.w]);
+    if (alike)
+        near.share = MIN(near.share / PULLED, 1.0f);
+    near.share *= (float4)(0.5625f, 0.1875f, 0.1875f, 0.0625f);
     near.sum = near.share.x + near.share.y + near.share.z + near.share.w;
     return near;
 }
@@ -144,13 +147,15 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
     __global float *to = pyramid + fine + y * fine_columns + x;
     __global const float *from = pyramid + coarse;
     if (to[KNOWN * plane] == 0) {
-        const around_t near = around(from + KNOWN * from_plane, rows, columns, y, x);
-        for (int c = 0; c <= RADIUS; ++c)
+        const around_t near = around(from + KNOWN * from_plane, rows, columns, y, x, true);
+        for (int c = 0; c < CHANNELS; ++c)
             to[c * plane] = between(from + c * from_plane, near);
+        const around_t nearest = around(from + KNOWN * from_plane, rows, columns, y, x, false);
+        to[RADIUS * plane] = between(from + RADIUS * from_plane, nearest);
         to[KNOWN * plane] = near.sum > 0 ? PULLED : 0;
     }
     if (to[SETTLED * plane] == 0) {
-        const around_t near = around(from + SETTLED * from_plane, rows, columns, y, x);
+        const around_t near = around(from + SETTLED * from_plane, rows, columns, y, x, true);
         to[COVERAGE * plane] = between(from + COVERAGE * from_plane, near);
         to[SETTLED * plane] = near.sum > 0;
     }
@@ -168,14 +173,15 @@ typedef struct {
 static hidden_t hidden_at(part_t part, float alpha, real coc, int rows, int columns, int y, int x,
                           __global const float *pyramid) {
     const int plane = rows * columns;
-    const around_t near = around(pyramid + KNOWN * plane, rows, columns, y, x);
-    hidden_t hidden = {near, part.share, between(pyramid + RADIUS * plane, near), part.share > 0};
+    const around_t near = around(pyramid + KNOWN * plane, rows, columns, y, x, true);
+    const around_t nearest = around(pyramid + KNOWN * plane, rows, columns, y, x, false);
+    hidden_t hidden = {near, part.share, between(pyramid + RADIUS * plane, nearest), part.share > 0};
     if (!part.settled && part.whole && ABS(hidden.radius - coc) <= SAME) {
         hidden.radius = coc;
         hidden.coverage = alpha;
         hidden.shown = true;
     } else if (!part.settled) {
-        const around_t open = around(pyramid + SETTLED * plane, rows, columns, y, x);
+        const around_t open = around(pyramid + SETTLED * plane, rows, columns, y, x, true);
         hidden.coverage = MIN(MAX(GAIN * (between(pyramid + COVERAGE * plane, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
     }
     return hidden;

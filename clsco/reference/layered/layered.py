@@ -30,7 +30,7 @@ LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of i
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
 SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
-PULLED = 1 / 64  # weight of pulled light beside known light, so that a slanted surface goes on where it ends
+PULLED = 1 / 64  # weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
 QUADRANTS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y on the lens
 OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
@@ -234,12 +234,12 @@ def take_sheet(
     share = np.where(shared, near_share, np.where(own, alpha, 0.0))
     light = np.where(shared[..., None], near_light, np.where((own & (far == which))[..., None], far_light, radiance))
     weight = np.asarray(own * alpha, dtype=np.float64)
-    spread = _spread(np.concatenate([light, coc[..., None]], axis=-1), weight, levels, PULLED)
+    spread, extrapolated = _spread(light, weight, levels), _spread(coc[..., None], weight, levels, PULLED)[..., 0]
     visible, hidden = share > 0, (layer > 0) & (layer < which)
     outline = _spread(share[..., None], (~hidden).astype(np.float64), levels)
     coverage = np.where(hidden, np.clip(GAIN * (outline[..., 0] - 0.5) + 0.5, 0.0, 1.0), share)
-    light = np.where(visible[..., None], light, spread[..., :-1])
-    radius = np.where(own, coc, spread[..., -1])
+    light = np.where(visible[..., None], light, spread)
+    radius = np.where(own, coc, extrapolated)
     whole = (near != layer) & (alpha >= OPAQUE)
     same = hidden & whole & (np.abs(radius - coc) <= SAME)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
