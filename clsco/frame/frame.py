@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsco.errors import ArgumentError
 from clsco.frame.channels import exr_channels
-from clsco.frame.notebook import codes_to_show, html_to_show, png_to_show
+from clsco.frame.notebook import codes_to_show, html_to_show
 from clsco.frame.outputs import FILE_NAMES
 
 GREEN = 1  # number of the channel that stands for all colors where a single channel is used
@@ -233,10 +233,6 @@ class Frame:
             parts.append(f"R {ends[0]} to {ends[1]} px" if ends else "R nowhere")
         names = [name for name in FILE_NAMES if name != "color" and getattr(self, name) is not None]
         return f"<{parts[0]}: {', '.join(parts[1:])}; {' '.join(names) or 'no truth'}>"
-
-    def _repr_png_(self) -> bytes | None:
-        """The image as PNG for notebooks; None without color."""
-        return png_to_show(self.color) if "color" in self.arrays() else None
 
     def _repr_html_(self) -> str:
         """The line that `print` shows, and the image, as HTML for notebooks."""

@@ -190,9 +190,7 @@ def choose_silhouettes(view: ResolvedView) -> Choice[int]:
     return Choice(samples)
 
 
-def choose_occlusion(
-    view: ResolvedView,
-) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
+def choose_occlusion(view: ResolvedView) -> tuple[Choice[Occlusion], tuple[OcclusionGroup, ...], tuple[Extent, ...]]:
     """Choose the method of occlusion; also returns the occlusion groups, and the extents of objects within which the
     groups are valid, which are empty if the groups are always valid.
     """

@@ -50,7 +50,7 @@ def test_codes_for_other_packages_have_three_channels(shape: tuple[int, ...]) ->
 
 def test_notebooks_get_a_picture_of_bounded_size(tmp_path: Path) -> None:
     path = tmp_path / "shown.png"
-    path.write_bytes(made()._repr_png_() or b"")
+    path.write_bytes(png_to_show(made().color))
     np.testing.assert_array_equal(read_image(path).data, made().image())
     path.write_bytes(png_to_show(np.full((2, 3 * LARGEST_SHOWN), 0.5, np.float32)))
     assert read_image(path).data.shape == (1, LARGEST_SHOWN, 3)

@@ -155,8 +155,7 @@ def _is_small(sweep: Sweep) -> bool:
 
 
 def _unnamed(error: SceneError, where: str, case: Case) -> list[str]:
-    """Fault if no message of a single change names its key, one of the same table, or one that depends on that
-    table."""
+    """Fault if no message of a single change names its key, one of its table, or one that depends on that."""
     if not case.changed:
         return []
     path = list(case.changed)

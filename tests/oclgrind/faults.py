@@ -72,13 +72,7 @@ FAULTS = (
         "",
         "ninitialized",
     ),
-    Fault(
-        "a plane not written",
-        "common/sources.clh",
-        "    source[2 * plane + at] = record.z;\n",
-        "",
-        "ninitialized",
-    ),
+    Fault("a plane not written", "common/sources.clh", "    source[2 * plane + at] = record.z;\n", "", "ninitialized"),
     Fault(
         "no barrier after the chunk",
         "blur/tiles.cl",

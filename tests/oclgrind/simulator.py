@@ -154,8 +154,7 @@ def _buffer(*args: Any, **options: Any) -> cl.Buffer:
 
 @lru_cache(maxsize=1)
 def _queue() -> cl.CommandQueue:
-    """Queue of all cases: in a second context the simulator takes for uninitialized what the first had at the same
-    address."""
+    """Queue of all cases: a second context's memory is uninitialized for the simulator where the first had some."""
     context = cl.Context([choose("oclgrind").handle])
     return cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 

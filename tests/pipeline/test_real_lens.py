@@ -1,5 +1,4 @@
-"""Lenses that are not thin, from scene to frame: field curvature, focus on a sphere, longitudinal color,
-vignetting."""
+"""Lenses that are not thin, from scene to frame: field curvature, focus on a sphere, color, vignetting."""
 
 from __future__ import annotations
 

@@ -203,11 +203,11 @@ def test_a_pyramid_shows_what_is_near_and_nothing_else(deep: int) -> None:
         np.testing.assert_array_equal(other[near], found[near])
 
 
-def sheet_of(light: Array, coc: Array, layer: Labels, levels: int) -> Array:
-    """Radiance and radius (H, W, 2) of layer 1."""
+def sheet_of(light: Array, coc: Array, layer: Labels, levels: int, which: int = 1) -> Array:
+    """Radiance and radius (H, W, 2) of a layer."""
     none = np.zeros_like(layer)
     parts = np.zeros((*layer.shape, 1)), np.zeros((*layer.shape, 1)), np.zeros(layer.shape)
-    sheet, radius = take_sheet(light[..., None], np.ones(layer.shape), coc, layer, (none, none), parts, 1, levels)
+    sheet, radius = take_sheet(light[..., None], np.ones(layer.shape), coc, layer, (none, none), parts, which, levels)
     return np.stack([sheet[..., 0], radius], axis=-1)
 
 
@@ -231,9 +231,8 @@ def test_an_outline_goes_on_behind_what_is_nearer() -> None:
 def test_a_slanted_surface_goes_on_beyond_a_cut_wherever_that_is() -> None:
     y, _ = np.indices((160, 8))
     for cut in range(64, 130):
-        layer, coc = np.where(y < cut, 1, 2).astype(np.uint8), 0.1 * (y - cut)
-        none, parts = np.zeros_like(layer), (np.zeros((160, 8, 1)), np.zeros((160, 8, 1)), np.zeros((160, 8)))
-        _, radius = take_sheet(np.ones((160, 8, 1)), np.ones((160, 8)), coc, layer, (none, none), parts, 2, 6)
+        coc = 0.1 * (y - cut)
+        radius = sheet_of(np.ones((160, 8)), coc, np.where(y < cut, 1, 2).astype(np.uint8), 6, which=2)[..., 1]
         np.testing.assert_array_equal(radius[cut - 1], coc[cut - 1])
 
 

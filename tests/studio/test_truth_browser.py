@@ -50,8 +50,7 @@ WALK = """async ([path, value, wait, paths]) => {
 
 
 @pytest.mark.parametrize(
-    ("steps", "seed"),
-    [pytest.param(12, 1, marks=pytest.mark.everyday), pytest.param(500, 2, marks=pytest.mark.slow)],
+    ("steps", "seed"), [pytest.param(12, 1, marks=pytest.mark.everyday), pytest.param(500, 2, marks=pytest.mark.slow)]
 )
 def test_the_badge_is_right_in_a_walk_of_changes(page: Any, steps: int, seed: int) -> None:
     chooses, paths = random.Random(seed), list(VALUES)

@@ -14,10 +14,7 @@ from tests.studio.browser import SMALL, axe_faults, from_menu, number, open_scen
 from tests.studio.running import Running, until
 
 pytestmark = pytest.mark.browser
-FILES = {
-    "small.toml": SMALL,
-    "many.toml": SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]"),
-}
+FILES = {"small.toml": SMALL, "many.toml": SMALL.replace("[[object]]", "[sequence]\nframes = 3000\n[[object]]")}
 SHIPPED = ("sphere.toml",)
 FOCUSED = """() => {
   const element = document.activeElement, style = getComputedStyle(element);
