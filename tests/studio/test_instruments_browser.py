@@ -137,6 +137,20 @@ def test_the_wipe_has_a_line_and_says_what_is_on_both_sides(page: Any) -> None:
     page.locator("#pinned").wait_for(state="hidden")
 
 
+def test_compared_versions_differ_by_what_they_mean_and_by_the_eye(page: Any) -> None:
+    page.evaluate("(studio.set('stereo.baseline', 4), studio.flush())")
+    page.locator("#eye").wait_for()
+    rest(page)
+    page.keyboard.press("p")
+    page.locator("#then", has_text="pinned").wait_for()
+    page.evaluate("(studio.set('object.0.motion.velocity', [0, 0, 0]), studio.flush())")  # as without any
+    page.wait_for_function("studio.values['object.0.motion.velocity.0'] === 0")
+    assert (page.locator("#then").inner_text(), page.locator("#now").inner_text()) == ("pinned", "now")
+    page.keyboard.press("e")
+    page.locator("#now", has_text="now: right eye").wait_for()
+    assert page.locator("#then").inner_text() == "pinned: left eye"
+
+
 def test_esc_leaves_a_box_so_that_letters_are_shortcuts(page: Any) -> None:
     page.locator("#dial-camera\\.f_number").click()
     page.keyboard.press("3")

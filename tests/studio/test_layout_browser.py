@@ -13,13 +13,13 @@ import clsco
 from clsco.studio.inspector import focus_point
 from clsco.studio.presets import FIRST
 from clsco.studio.server import STATIC
-from tests.studio.browser import box, chromium, opened, rest
+from tests.studio.browser import box, chromium, opened, rest, states
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
 SHIPPED = ("evening.toml", "evening.npy", "glazed.jpg", "yellow.jpg", "teal.jpg", "rose.jpg", "table.jpg")
 OPENS, FOCUS = f"{FIRST}.toml", "camera.focus_distance"
-HIDDEN = """() => [...document.querySelectorAll('[role=tab], header button, #canvas')].filter((each) => {
+HIDDEN = """() => [...document.querySelectorAll('[role=tab], header button, #canvas, #badge')].filter((each) => {
   const box = each.getBoundingClientRect(), [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
   return each.checkVisibility() && !each.contains(document.elementFromPoint(x, y)); }).map((each) => each.outerHTML)"""
 BEYOND = """() => [...document.querySelectorAll('header *, #lens-strip :not(svg *), #status *, #stage')]
@@ -31,6 +31,13 @@ SMALL = """(least) => [...document.querySelectorAll('button, select, input, summ
   const isSeen = each.checkVisibility({ visibilityProperty: true }) && width > 0;
   return isSeen && !isPart && Math.min(width, height) < least - 0.1;
 }).map((each) => each.outerHTML.slice(0, 90))"""
+PARTS = "label:not(.box) input, .num input, .lane input, [data-time]"  # times are as close as they are
+HITS = """(parts) => [...document.querySelectorAll('button, select, input, summary, label:not(.box):has(input)')]
+  .filter((each) => {
+    const { width, height } = each.getBoundingClientRect(), isHidden = getComputedStyle(each).clipPath !== 'none';
+    return each.checkVisibility({ visibilityProperty: true }) && width > 0 && !each.matches(parts) && !isHidden
+      && Math.min(width, height) < 43.9;
+  }).map((each) => each.outerHTML.slice(0, 90))"""
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +90,13 @@ def test_windows_hold_all(running: Running) -> None:
             assert {button.bounding_box()["height"] for button in page.locator("header button:visible").all()} == {32}
 
 
+def test_fingers_hit_all_controls(running: Running) -> None:
+    with opened(running, 390, 844, has_touch=True, is_mobile=True) as page:
+        assert page.evaluate("matchMedia('(pointer: coarse)').matches")
+        small = {name: page.evaluate(HITS, PARTS) for name in states(running, page)}
+        assert {name: each for name, each in small.items() if each} == {}
+
+
 def test_lens_and_focus_are_few_keys_away(running: Running, shown: Any) -> None:
     shown.reload()
     rest(shown)
@@ -116,6 +130,9 @@ def test_the_ruler_is_to_scale(shown: Any) -> None:
     name.click()
     (middle,) = (entry[2] for entry in ranges if entry[0] == "Yellow ball")
     shown.wait_for_function(f"Math.abs(studio.values['{FOCUS}'] - {middle}) < 1e-3")
+    shown.evaluate(f"(studio.set('{FOCUS}', 'inf'), studio.flush())")  # the ruler holds the nearest object all the same
+    shown.wait_for_function("studio.lens.focus === null && document.querySelector('#ruler input').value === '0'")
+    assert 1 < shown.evaluate(end) * min(entry[1] for entry in ranges if entry[1]) < 1.6
 
 
 def test_a_value_at_fault_is_told_in_the_status(shown: Any) -> None:
@@ -126,6 +143,7 @@ def test_a_value_at_fault_is_told_in_the_status(shown: Any) -> None:
         clsco.parse_scene({"camera": {"focal_length": 50.0, FOCUS[7:]: 5.0}, "object": [{"shape": "plane"}]})
     assert str(raised.value).endswith(shown.locator("#fault").inner_text())
     assert shown.locator("#badge").inner_text() == "Earlier values"
+    shown.evaluate(f"studio.fail(['{'x ' * 400}'])")  # a message leaves the state of the picture in sight, too
     assert shown.evaluate(HIDDEN) == []
     assert box(shown, FOCUS).get_attribute("aria-invalid") == "true"
     box(shown, FOCUS).blur()

@@ -36,10 +36,10 @@ class GenerateForm:
         self._chosen = {generate.PICTURE: True}
         self._answers: dict[str, Any] = {
             "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "form": generate.first_format(),
-            "nearest": "200", "farthest": "400", "steps": "9", "distribution": "", "count": "100", "seed": "0",
+            "nearest": "", "farthest": "", "steps": "9", "distribution": "", "count": "100", "seed": "0",
         }  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
-        self._kind, self._line = PagePart(self._draw_kind), PagePart(self._draw_line)
+        self._kind, self._line = PagePart(self._draw_kind, lambda: session.ends), PagePart(self._draw_line)
         self.cost = PagePart(self._draw_cost, self._total)
         page().endings.append(session.subscribe(self._renew))
 
@@ -50,6 +50,7 @@ class GenerateForm:
             self._free = self._answers["folder"] = free
             self._folder.refresh()
             self._line.refresh()
+        self._kind.changed()
         self.cost.changed()
 
     @property
@@ -87,8 +88,11 @@ class GenerateForm:
         self._kind.refresh()
         self._renew()
 
+    def _text(self, name: str) -> str:
+        return str(self._answers[name] or self._session.ends.get(name, ""))
+
     def _box(self, name: str, label: str) -> None:
-        text_box(label, self._answers[name], partial(self._answer, self._answers, name))
+        text_box(label, self._text(name), partial(self._answer, self._answers, name))
 
     def _list(self, name: str, label: str, options: dict[str, str]) -> None:
         named = {option: option or "none" for option in options}
@@ -132,7 +136,7 @@ class GenerateForm:
             generate.make_data_set(session, jobs, *self._of_set())
         else:
             if answers["kind"] == "stack":
-                ends = _number(answers["nearest"], "nearest"), _number(answers["farthest"], "farthest")
+                ends = _number(self._text("nearest"), "nearest"), _number(self._text("farthest"), "farthest")
                 table = generate.stack_table(session, *ends, _whole(answers["steps"], "steps"))
             generate.render_frames(session, jobs, *self._of_frames(), table)
         self._renew()
@@ -160,7 +164,7 @@ class GenerateForm:
 
     def _draw_cost(self) -> None:
         amount, count, size = self._total()
-        with say("span", class_="quiet"):
+        with say("span", id="cost", class_="quiet"):
             say("span", size)
             say("span", data_took=count, data_amount=amount)
 
