@@ -21,11 +21,8 @@ def lens_line(scene: Scene) -> dict[str, Any]:
     lens = Lens.of(camera, scene.lens)
     power, margin = lens.focus_power, SHARP / lens.blur_scale
     found = {
-        "focus": camera.focused_distance,
-        "near": 1 / (power + margin),
-        "far": 1 / (power - margin) if power > margin else math.inf,
-        "focal_length": camera.focal_length,
-        "aperture": camera.aperture_diameter,
-    }
+        "focal_length": camera.focal_length, "aperture": camera.aperture_diameter, "focus": camera.focused_distance,
+        "near": 1 / (power + margin), "far": 1 / (power - margin) if power > margin else math.inf,
+    }  # fmt: skip
     opening = {key: getattr(scene.aperture, key) for key in ("shape", *APERTURE_KEYS, "squeeze")}
     return {name: value if math.isfinite(value) else None for name, value in found.items()} | {"opening": opening}

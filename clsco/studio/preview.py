@@ -312,9 +312,8 @@ class Preview:
         if picture.small:
             self.small = revision, picture.small
         await self._send(picture.packed(revision, number))
-        if (about := picture.about) is not None:
-            took = about.get("took") if number != NO_NUMBER else None  # of a whole frame
-            await self.tell(about=about | {"took": took, "revision": revision})
+        if picture.about is not None:
+            await self.tell(about=picture.about | {"revision": revision, "is_whole": number != NO_NUMBER})
 
     async def _ask(self, purpose: str) -> None:
         """Answer a question about a pixel; if the state changes meanwhile, it is asked again."""

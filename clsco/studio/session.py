@@ -48,8 +48,8 @@ class Document(Editor):
         return self._saved == (self.path, self.table)
 
     def note_ends(self, ends: dict[str, str]) -> None:
-        """Set `ends`, and notify."""
-        self.ends = ends
+        """Update `ends`."""
+        self.ends.update(ends)
         self._tell()
 
     def open(self, path: Path) -> None:

@@ -52,15 +52,10 @@ def pixels(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
 
 
 @contextmanager
-def opened(
-    running: Running, width: int = 1280, height: int = 720, scheme: str = "dark", **options: Any
-) -> Iterator[Any]:
-    """A page of the studio, which shows an exact frame; it fails where the page reports an error.
-
-    scheme: of colors, as the system has it.
-    """
+def opened(running: Running, width: int = 1280, height: int = 720, **options: Any) -> Iterator[Any]:
+    """A page of the studio, which shows an exact frame; it fails where the page reports an error."""
     errors: list[str] = []
-    with chromium(viewport={"width": width, "height": height}, color_scheme=scheme, **options) as context:
+    with chromium(**{"viewport": {"width": width, "height": height}, "color_scheme": "dark"} | options) as context:
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
@@ -196,56 +191,34 @@ def axe_faults(page: Any) -> list[tuple[str, str]]:
     return [(fault["id"], fault["nodes"][0]["html"]) for fault in found["violations"]]
 
 
-def _set(path: str, value: Any) -> str:
-    return f"(studio.set({path!r}, {value!r}), studio.flush())"
-
-
-def _click(*selectors: str) -> str:
-    return "; ".join(f"document.querySelector({each!r}).click()" for each in selectors)
-
-
-def _menu(name: str) -> str:
-    return f"[...document.querySelectorAll('#menu button')].find((each) => each.textContent === {name!r}).click()"
-
-
-_LOADING = "{ progress: { doing: 'compiling', done: 2, total: 7, still: 12 } }"
 _PANELS = "if (innerWidth <= 900) studio.dock('open', true);"
-STATES: dict[str, tuple[str, str]] = {  # of the page: a script that leads there, and what is seen then
-    "rest": ("0", "#canvas"),
-    "depth": (_click("[data-view=depth]"), "[data-view=depth][aria-selected=true]"),
-    "views": (_click("#more"), "#views[data-all]"),
-    "inspector": (_click("[data-part-of=sided]"), "#side"),
-    "panels": (
-        "document.querySelectorAll('.panel').forEach((each) => { each.removeAttribute('name'); each.open = true; });"
-        + _PANELS,
-        ".panel[open]",
-    ),
-    "new panel": (_PANELS + _click("#panels-scroll .chip:last-child"), ".panel[open]"),
-    "objects": (_PANELS + _click("[popovertarget=object-menu]"), "#object-menu"),
-    "menu": (_click("#scene"), "#menu"),
-    **{name: (_menu(name), "dialog[open]") for name in ("Open", "Presets", "Save as", "Share")},
-    "keys": (_click("#help"), "#keys"),
-    "find": (_click("#find"), "#palette"),
-    "compare": (_click("#comparing"), "#studio"),
-    "stack": (_click("#stack"), "#stack-row"),
-    "keyframes": (_set("object.0.motion.velocity.0", 5) + ";" + _click("#keyframes"), "#keyframes-part"),
-    "view": (_click("#shown summary"), "#shown-panel"),
-    "Generate": (_click("#generate", "#making summary", "#making details + details summary"), "#making"),
-    "inpainting": (_click("[data-mode=inpaint]"), "#painting"),
-    "image": (_click("[data-mode=inpaint]") + ";" + _PANELS, "#paint"),
-    "wrong": (_set("camera.f_number", -1), "#wrong"),
-    "message": ("studio.fail(['a: must be b; got c'])", "#message"),
-    "loading": (f"studio.done = () => {{}}; studio.hearing.forEach((hear) => hear({_LOADING}))", "#progress"),
-    "lost": ("studio.closed()", "#lost"),
-}
+_UNFOLDED = "for (const each of document.querySelectorAll('.panel')) each.open = !(each.name = '');"
+_LOADING = "hear({ progress: { doing: 'compiling', done: 2, total: 7, still: 12 } })"
+STATES: dict[str, tuple[str, ...]] = {  # of the page: what is clicked, or scripts, and in the end what is seen then
+    "rest": ("#canvas",), "depth": ("[data-view=depth]", "[data-view=depth][aria-selected=true]"),
+    "views": ("#more", "#views[data-all]"), "inspector": ("[data-part-of=sided]", "#side"),
+    "panels": (_PANELS, _UNFOLDED, ".panel[open]"),
+    "new panel": (_PANELS, "#panels-scroll .chip:last-child", ".panel[open]"),
+    "objects": (_PANELS, "[popovertarget=object-menu]", "#object-menu"), "menu": ("#scene", "#menu"),
+    **{f"entry {k} of the menu": (f"#menu button:nth-child({k})", "dialog[open]") for k in (1, 2, 4, 5)},
+    "keys": ("#help", "#keys"), "find": ("#find", "#palette"), "compare": ("#comparing", "#studio"),
+    "keyframes": ("studio.set('object.0.motion.velocity.0', 5);", "#keyframes", "#keyframes-part"),
+    "stack": ("#stack", "#stack-row"), "view": ("#shown summary", "#shown-panel"),
+    "Generate": ("#generate", "#making summary", "#making details + details summary", "#making"),
+    "inpainting": ("[data-mode=inpaint]", "#painting"), "image": ("[data-mode=inpaint]", _PANELS, "#paint"),
+    "wrong": ("studio.set('camera.f_number', -1);", "#wrong"), "message": ("studio.fail(['a: b']);", "#message"),
+    "loading": ("studio.done = () => {};", f"for (const hear of studio.hearing) {_LOADING};", "#progress"),
+    "lost": ("studio.closed();", "#lost"),
+}  # fmt: skip
 
 
 def states(running: Running, page: Any) -> Iterator[str]:
     """Lead a page to each of STATES, and give their names."""
-    for name, (script, seen) in STATES.items():
+    for name, (*steps, seen) in STATES.items():
         page.goto(f"{running.page}/")  # a new tab
         page.wait_for_function("window.studio && 'camera.f_number' in studio.values")
-        page.evaluate(script)
+        for step in steps:
+            page.evaluate(step if step.endswith(";") else f"document.querySelector({step!r}).click()")
         page.locator(seen).first.wait_for()
         page.wait_for_timeout(300)
         yield name

@@ -19,11 +19,9 @@ from tests.studio.browser import SMALL
 pytestmark = pytest.mark.browser
 FILES, OPENS = {"scene.toml": SMALL}, "scene.toml"
 VALUES: dict[str, tuple[Any, ...]] = {
-    "camera.focus_distance": (150, 200, 230, 260, 300),
-    "camera.f_number": (1.4, 2, 4, 8),
-    "object.0.distance": (180, 220, 250),
-    "object.0.texture": ("checkerboard", "bricks"),
-}
+    "camera.focus_distance": (150, 200, 230, 260, 300), "camera.f_number": (1.4, 2, 4, 8),
+    "object.0.distance": (180, 220, 250), "object.0.texture": ("checkerboard", "bricks"),
+}  # fmt: skip
 WRONG = {"camera.focus_distance": (5, "near"), "camera.f_number": (-1,), "object.0.distance": (0,)}
 WALK = """async ([path, value, wait, paths]) => {
   const box = (name) => document.querySelector(`:is(#panels, #lens-strip) [data-path="${name}"]:not([type=range])`);

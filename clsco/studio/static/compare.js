@@ -116,13 +116,13 @@ const ACTIONS = {
 const KEYS = { p: ACTIONS.toggle, d: ACTIONS.difference };
 studio.compares = (event) => { // a key
   KEYS[event.key.toLowerCase()]?.();
-  if (event.key !== " " || event.target !== document.body || event.repeat || flipped) return;
+  if (event.key !== " " || !event.target.matches("body, #stage") || event.repeat || flipped) return;
   event.preventDefault();
   ACTIONS.flip();
 };
 
 studio.parts.push(() => {
-  on("keyup", (event) => { if (event.key === " " && flipped && event.target === document.body) ACTIONS.flip(); });
+  on("keyup", (event) => { if (event.key === " " && flipped && event.target.matches("body, #stage")) ACTIONS.flip(); });
   on("click", (_, target) => { ACTIONS[target.closest("[data-compare]")?.dataset.compare]?.(); });
   one("#comparing").addEventListener("click", ACTIONS.toggle);
   one("#wipe").addEventListener("input", show);

@@ -57,7 +57,7 @@ const speak = () => { // how far jobs are, not too often
 
 studio.hearing.push((said) => {
   if (said.progress) progressed(said.progress);
-  if (said.about?.took) timed = said.about;
+  if (said.about?.took && said.about.is_whole) timed = said.about;
   if ("undo" in said) revision = said.revision;
   if (said.about || said.part || said.faults) predicted();
   if (said.part) speak();

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import time
+from collections import ChainMap
+from collections.abc import MutableMapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -34,12 +36,12 @@ class GenerateForm:
         self._is_set, self._free = False, generate.free_folder(session)
         self._device = ["--device", device] if device else []
         self._chosen = {generate.PICTURE: True}
-        self._answers: dict[str, Any] = {
+        self._answers: ChainMap[str, Any] = ChainMap({
             "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "form": generate.first_format(),
-            "nearest": "", "farthest": "", "steps": "9", "distribution": "", "count": "100", "seed": "0",
-        }  # fmt: skip
+            "steps": "9", "distribution": "", "count": "100", "seed": "0",
+        }, session.ends)  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
-        self._kind, self._line = PagePart(self._draw_kind, lambda: session.ends), PagePart(self._draw_line)
+        self._kind, self._line = PagePart(self._draw_kind, lambda: [*session.ends.values()]), PagePart(self._draw_line)
         self.cost = PagePart(self._draw_cost, self._total)
         page().endings.append(session.subscribe(self._renew))
 
@@ -77,7 +79,7 @@ class GenerateForm:
             say("summary", "The same by hand")
             self._line()
 
-    def _answer(self, answers: dict[Any, Any], name: object, value: object) -> None:
+    def _answer(self, answers: MutableMapping[Any, Any], name: object, value: object) -> None:
         answers[name] = value
         self._line.refresh()
         self.cost.changed()
@@ -88,11 +90,8 @@ class GenerateForm:
         self._kind.refresh()
         self._renew()
 
-    def _text(self, name: str) -> str:
-        return str(self._answers[name] or self._session.ends.get(name, ""))
-
     def _box(self, name: str, label: str) -> None:
-        text_box(label, self._text(name), partial(self._answer, self._answers, name))
+        text_box(label, self._answers[name], partial(self._answer, self._answers, name))
 
     def _list(self, name: str, label: str, options: dict[str, str]) -> None:
         named = {option: option or "none" for option in options}
@@ -136,7 +135,7 @@ class GenerateForm:
             generate.make_data_set(session, jobs, *self._of_set())
         else:
             if answers["kind"] == "stack":
-                ends = _number(self._text("nearest"), "nearest"), _number(self._text("farthest"), "farthest")
+                ends = _number(answers["nearest"], "nearest"), _number(answers["farthest"], "farthest")
                 table = generate.stack_table(session, *ends, _whole(answers["steps"], "steps"))
             generate.render_frames(session, jobs, *self._of_frames(), table)
         self._renew()
