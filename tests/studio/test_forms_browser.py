@@ -55,7 +55,6 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.reload()
     page.keyboard.press("b")
     right.get_by_text("filled: texture").wait_for()  # what was filled is still seen
-    page.wait_for_timeout(200)
     filled = page.locator("#painting").screenshot()
     page.locator("[data-card=mean-median]").click()
     right.get_by_text("filled: mean and median").wait_for()

@@ -54,8 +54,7 @@ WALK = """async ([path, value, wait, paths]) => {
 def test_the_badge_is_right_in_a_walk_of_changes(page: Any, steps: int, seed: int) -> None:
     chooses, paths = random.Random(seed), list(VALUES)
     known: dict[tuple[str, ...], NDArray[np.int64]] = {}
-    exact = 0
-    wrong = ""
+    exact, wrong = 0, ""
     for _ in range(steps):
         path = wrong or chooses.choice([*paths, "undo", "redo"])  # what is wrong is mended in the next step
         wrong = path if path in WRONG and not wrong and chooses.random() < 0.2 else ""

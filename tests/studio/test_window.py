@@ -231,5 +231,6 @@ def test_generate_says_what_it_costs_and_begins_a_stack_at_the_objects(page: Any
     page.locator("#making .primary:enabled").wait_for()
     page.locator("#making summary").first.click()
     page.locator("#making").get_by_label("Render").select_option("stack")
-    for place in ("#stack-nearest", "#making .box:has-text('Nearest') input"):
-        page.wait_for_function(f'document.querySelector("{place}")?.value === "240"', timeout=20000)
+    page.wait_for_function("document.querySelector('#stack-nearest').value === '240'", timeout=20000)
+    page.wait_for_timeout(300)
+    assert page.get_by_label("Nearest focus distance").input_value() == "240"
