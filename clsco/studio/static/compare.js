@@ -3,10 +3,11 @@
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { all, made, on, one, reword, studio } from "./shared.js";
+import { defaults } from "./views.js";
 
 const FACTOR = 8; // of the difference
 const WORDS = {
-  eye: (value) => value, frame: (value) => `frame ${value + 1}`,
+  eye: String, frame: (value) => `frame ${value + 1}`,
   "camera.f_number": (value) => `f/${brief(value)}`, "camera.focus_distance": (value) => `${brief(value)} mm`,
 };
 
@@ -43,14 +44,9 @@ const show = () => {
   studio.viewport.lay(one("#wipe"));
 };
 
-const meant = (values, path) => { // an empty box means the default of its key, or of the key whose component it is
-  const [, key, index] = /** @type {string[]} */ (/^(.*?)(?:\.(\d+))?$/.exec(path)), label = (name) => one(`[data-clear="${CSS.escape(name)}"]`);
-  const normal = JSON.parse((label(path) ?? label(key))?.dataset.default ?? "null");
-  return values[path] ?? (Array.isArray(normal) ? normal.flat()[index] : normal) ?? 0;
-};
-
-/** What the picture has where another differs: its eye, frame, f-number or focus, else another value. */
+/** What the picture has where another differs: its eye, frame, f-number or focus, else another value; an empty box means its default. */
 const named = (values, other) => {
+  const normal = Object.fromEntries(defaults().flatMap(([, each]) => each)), meant = (of, path) => of[path] ?? normal[path] ?? 0;
   const differ = (path) => meant(values, path) !== meant(other, path);
   const words = Object.entries(WORDS).filter(([path]) => differ(path)).map(([path, word]) => word(values[path]));
   if (words.length) return words.join(", ");
@@ -110,7 +106,8 @@ const difference = (canvas, over) => { // shown in place of the pinned frame; gi
 
 studio.compare = compare;
 const ACTIONS = {
-  this: pin, thesis: () => { asked = { ...studio.values }; studio.send({ do: "pin thesis" }); }, toggle: () => { if (pinned || waits) end(); else pin(); show(); },
+  this: pin, thesis: () => { asked = { ...studio.values }; studio.send({ do: "pin thesis" }); },
+  toggle: () => { if (pinned || waits) end(); else pin(); show(); },
   flip: () => { flipped = !flipped; show(); }, difference: () => { differs = pinned !== null && !differs; show(); },
 };
 const KEYS = { p: ACTIONS.toggle, d: ACTIONS.difference };
@@ -122,7 +119,7 @@ studio.compares = (event) => { // a key
 };
 
 studio.parts.push(() => {
-  on("keyup", (event) => { if (event.key === " " && flipped && event.target.matches("body, #stage")) ACTIONS.flip(); });
+  on("keyup", (event, target) => { if (event.key === " " && flipped && target.matches("body, #stage")) ACTIONS.flip(); });
   on("click", (_, target) => { ACTIONS[target.closest("[data-compare]")?.dataset.compare]?.(); });
   one("#comparing").addEventListener("click", ACTIONS.toggle);
   one("#wipe").addEventListener("input", show);
