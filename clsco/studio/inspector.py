@@ -79,8 +79,8 @@ def focus_point(frame: Frame) -> tuple[int, int]:
 
 
 def overview(frame: Frame, scene: Scene) -> dict[str, Any]:
-    """Small views of a frame with all ground truth, and `ranges` of the visible objects: name, depth in mm of which 1,
-    50 and 99 % of their pixels are nearer, None for infinity, and mean color.
+    """Small views of a frame with all ground truth; `ranges` of the visible objects: name, depth in mm of which 1, 50
+    and 99 % of their pixels are nearer, None for infinity, and mean color; and `ends` of a focal stack of them, mm.
     """
     assert frame.depth is not None
     assert frame.object_id is not None
@@ -94,7 +94,11 @@ def overview(frame: Frame, scene: Scene) -> dict[str, Any]:
             codes = encode(light / max(float(light.max()), 1e-6) * 0.7, 8, "srgb")
             name = item.name or item.shape.replace("_", " ")
             ranges.append([name.capitalize(), *map(_plain, ends), f"#{bytes(codes.astype(np.uint8)).hex()}"])
-    return {"ranges": ranges, "views": small_views(frame, scene)}
+    depths = [depth for _, near, _, far, _ in ranges for depth in (near, far) if depth is not None] or [250.0]
+    near, far = min(depths), max(depths)
+    near, far = (near, far) if far > 1.02 * near else (0.8 * near, 1.6 * far)
+    ends = {"nearest": f"{near:.4g}", "farthest": f"{far:.4g}"}
+    return {"ranges": ranges, "views": small_views(frame, scene), "ends": ends}
 
 
 def source_of(frame: Frame, scene: Scene, x: int, y: int) -> tuple[int, int, int] | str:

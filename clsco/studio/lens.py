@@ -10,27 +10,19 @@ from clsco.optics.lens_path import reference_camera
 from clsco.scene.model import Scene
 from clsco.scene.spread import APERTURE_KEYS
 
-NEAREST, FARTHEST = 1.05, 1000.0  # focal lengths
-
 
 def lens_line(scene: Scene) -> dict[str, Any]:
     """Figures for the strip, mm; infinite values are None.
 
     Returns `focus`, the distance in focus; `near` and `far`, the distances where |R| = SHARP; `focal_length`;
-    `aperture`, the diameter; `nearest`, the near end of the ruler: half of the distance in focus, or nearly, so that it
-    changes only in steps; and `opening`, the keys of [aperture] by which it is drawn.
+    `aperture`, the diameter; and `opening`, the keys of [aperture] by which it is drawn.
     """
     camera = reference_camera(scene)
     lens = Lens.of(camera, scene.lens)
     power, margin = lens.focus_power, SHARP / lens.blur_scale
-    half = 0.5 * min(camera.focused_distance, FARTHEST * camera.focal_length)
     found = {
-        "focus": camera.focused_distance,
-        "near": 1 / (power + margin),
-        "far": 1 / (power - margin) if power > margin else math.inf,
-        "focal_length": camera.focal_length,
-        "aperture": camera.aperture_diameter,
-        "nearest": max(2.0 ** (round(2.0 * math.log2(half)) / 2.0), NEAREST * camera.focal_length),
-    }
+        "focal_length": camera.focal_length, "aperture": camera.aperture_diameter, "focus": camera.focused_distance,
+        "near": 1 / (power + margin), "far": 1 / (power - margin) if power > margin else math.inf,
+    }  # fmt: skip
     opening = {key: getattr(scene.aperture, key) for key in ("shape", *APERTURE_KEYS, "squeeze")}
     return {name: value if math.isfinite(value) else None for name, value in found.items()} | {"opening": opening}

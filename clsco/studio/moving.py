@@ -91,6 +91,8 @@ class Pointer:
 
         async def report(found: dict[str, Any]) -> None:
             await self._preview.tell(**{name: found})
+            if purpose == OVERVIEW:
+                self._session.note_ends(found["ends"])
 
         self._preview.inspect(x, y, report, purpose)
 

@@ -313,7 +313,7 @@ class Preview:
             self.small = revision, picture.small
         await self._send(picture.packed(revision, number))
         if picture.about is not None:
-            await self.tell(about=picture.about)
+            await self.tell(about=picture.about | {"revision": revision, "is_whole": number != NO_NUMBER})
 
     async def _ask(self, purpose: str) -> None:
         """Answer a question about a pixel; if the state changes meanwhile, it is asked again."""

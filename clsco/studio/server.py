@@ -359,20 +359,13 @@ async def _tell(tab: Tab, preview: Preview) -> None:
             await preview.tell(**message)
         state = {
             "revision": session.revision,  # tells the page which revision of the scene has these values
-            "title": session.scene.title,
-            "file": session.file,
-            "saved": session.is_saved,
-            "faults": dict(session.faults),
-            "undo": session.can_undo,
-            "redo": session.can_redo,
-            "frames": session.scene.sequence.frames,
-            "interval": session.scene.sequence.interval,
-            "pair": session.scene.stereo is not None,
-            "moves": session.scene.moves,
-            "sensor": session.scene.sensor is not None,
-            "lens": lens_line(session.scene),
+            "title": session.scene.title, "file": session.file, "saved": session.is_saved,
+            "faults": dict(session.faults), "undo": session.can_undo, "redo": session.can_redo,
+            "frames": session.scene.sequence.frames, "interval": session.scene.sequence.interval,
+            "pair": session.scene.stereo is not None, "sensor": session.scene.sensor is not None,
+            "moves": session.scene.moves, "lens": lens_line(session.scene),
             "given": [path for path in tab.watched if at(session.table, path_parts(path)) is not None],
-        }
+        }  # fmt: skip
         shown = ((path, session.shown(path)) for path in tab.watched)
         now = {path: "inf" if value == math.inf else value for path, value in shown}  # JSON has no infinity
         known = {path: value for path, value in values.items() if path not in tab.typed}

@@ -35,6 +35,7 @@ class Document(Editor):
         self._digests: dict[Path, str] = {}
         self._saved: tuple[Path | None, Table] = (None, self.table)
         self._kept = self._opened = 0
+        self.ends = {"nearest": "200", "farthest": "400"}  # of a focal stack of the visible objects, mm
 
     @property
     def file(self) -> str:
@@ -45,6 +46,11 @@ class Document(Editor):
     def is_saved(self) -> bool:
         """True if the scene equals its file, or is new and unchanged."""
         return self._saved == (self.path, self.table)
+
+    def note_ends(self, ends: dict[str, str]) -> None:
+        """Update `ends`."""
+        self.ends.update(ends)
+        self._tell()
 
     def open(self, path: Path) -> None:
         """Go to the scene of a file below the root, as an undo step. It may only name examples and files below there.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
 import pytest
-from numpy.typing import NDArray
 
 import clsco
 from clsco.errors import SceneError
@@ -18,7 +16,6 @@ from clsco.plan.prepare import prepare
 from clsco.scene.model import DepthMap, Scene
 from tests.scenes import refusals
 
-Array = NDArray[Any]
 RNG = np.random.default_rng(6)
 BEAUTY, ALBEDO = RNG.random((2, 12, 16, 3), np.float32)
 NEAR, FAR = (np.linspace(z, z + 20, 12 * 16, dtype=np.float32).reshape(12, 16) for z in (240, 300))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, radians, sqrt, tan
+from math import inf, radians, tan
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +18,6 @@ EQUAL = (-9.0, 9.0)
 RIM = 14.0 * tan(radians(30.0))
 UPRIGHT = Cylinder(radius=9.0)
 LEANING = Cylinder(radius=9.0, axis=(1.0, 1.0, 0.0))
-TILTED = 9.0 * sqrt(0.5)
 PARABOLOID = Quadric(coefficients=(1, 1, 0, 0, 0, 0, 0, 0, -5, 0))
 CASES: dict[str, tuple[Object, Any, Any]] = {
     "a sphere in its box": (Sphere(radius=9.0), (EQUAL,) * 3, None),

@@ -20,7 +20,6 @@ from tests.optics.grids import square
 
 CAMERA = Camera(resolution=(65, 49), f_number=2.0, focal_length=20.0, pixel_pitch=0.01)
 LONG = {"model": "wave", "wavelengths": [2500.0] * 3, "tail": 0.05}  # Q = 0.5 px
-HALF = np.array([32.0, 24.0]) / 40.0
 
 
 @cache

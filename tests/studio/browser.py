@@ -52,13 +52,10 @@ def pixels(page: Any, canvas: str = "#canvas") -> NDArray[np.int64]:
 
 
 @contextmanager
-def opened(running: Running, width: int = 1280, height: int = 720, scheme: str = "dark") -> Iterator[Any]:
-    """A page of the studio, which shows an exact frame; it fails where the page reports an error.
-
-    scheme: of colors, as the system has it.
-    """
+def opened(running: Running, width: int = 1280, height: int = 720, **options: Any) -> Iterator[Any]:
+    """A page of the studio, which shows an exact frame; it fails where the page reports an error."""
     errors: list[str] = []
-    with chromium(viewport={"width": width, "height": height}, color_scheme=scheme) as context:
+    with chromium(**{"viewport": {"width": width, "height": height}, "color_scheme": "dark"} | options) as context:
         page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
@@ -192,3 +189,36 @@ def axe_faults(page: Any) -> list[tuple[str, str]]:
     found = page.evaluate("axe.run()")
     assert len(found["passes"]) > 10
     return [(fault["id"], fault["nodes"][0]["html"]) for fault in found["violations"]]
+
+
+_PANELS = "if (innerWidth <= 900) studio.dock('open', true);"
+_UNFOLDED = "for (const each of document.querySelectorAll('.panel')) each.open = !(each.name = '');"
+_LOADING = "hear({ progress: { doing: 'compiling', done: 2, total: 7, still: 12 } })"
+STATES: dict[str, tuple[str, ...]] = {  # of the page: what is clicked, or scripts, and in the end what is seen then
+    "rest": ("#canvas",), "depth": ("[data-view=depth]", "[data-view=depth][aria-selected=true]"),
+    "views": ("#more", "#views[data-all]"), "inspector": ("[data-part-of=sided]", "#side"),
+    "panels": (_PANELS, _UNFOLDED, ".panel[open]"),
+    "new panel": (_PANELS, "#panels-scroll .chip:last-child", ".panel[open]"),
+    "objects": (_PANELS, "[popovertarget=object-menu]", "#object-menu"), "menu": ("#scene", "#menu"),
+    **{f"entry {k} of the menu": (f"#menu button:nth-child({k})", "dialog[open]") for k in (1, 2, 4, 5)},
+    "keys": ("#help", "#keys"), "find": ("#find", "#palette"), "compare": ("#comparing", "#studio"),
+    "keyframes": ("studio.set('object.0.motion.velocity.0', 5);", "#keyframes", "#keyframes-part"),
+    "stack": ("#stack", "#stack-row"), "view": ("#shown summary", "#shown-panel"),
+    "Generate": ("#generate", "#making summary", "#making details + details summary", "#making"),
+    "inpainting": ("[data-mode=inpaint]", "#painting"), "image": ("[data-mode=inpaint]", _PANELS, "#paint"),
+    "wrong": ("studio.set('camera.f_number', -1);", "#wrong"), "message": ("studio.fail(['a: b']);", "#message"),
+    "loading": ("studio.done = () => {};", f"for (const hear of studio.hearing) {_LOADING};", "#progress"),
+    "lost": ("studio.closed();", "#lost"),
+}  # fmt: skip
+
+
+def states(running: Running, page: Any) -> Iterator[str]:
+    """Lead a page to each of STATES, and give their names."""
+    for name, (*steps, seen) in STATES.items():
+        page.goto(f"{running.page}/")  # a new tab
+        page.wait_for_function("window.studio && 'camera.f_number' in studio.values")
+        for step in steps:
+            page.evaluate(step if step.endswith(";") else f"document.querySelector({step!r}).click()")
+        page.locator(seen).first.wait_for()
+        page.wait_for_timeout(300)
+        yield name

@@ -109,13 +109,10 @@ def test_the_five_panels_are_those_of_the_thesis(session: Document) -> None:
 @pytest.mark.parametrize(
     ("shape", "expected"),
     [
-        ("plane", ["a", "b", "c"]),
-        ("cylinder", ["ρ", "C", ""]),
-        ("sphere", ["ρ", "C"]),
-        ("cone", ["θ", "C", ""]),
+        ("plane", ["a", "b", "c"]), ("cylinder", ["ρ", "C", ""]), ("sphere", ["ρ", "C"]), ("cone", ["θ", "C", ""]),
         ("ellipsoid", ["", ""]),
     ],
-)
+)  # fmt: skip
 def test_properties_follow_the_shape(session: Document, shape: str, expected: list[str]) -> None:
     fields = of_shape(session, shape)["Select Object Properties"].fields
     assert [field.symbol for field in fields] == expected

@@ -52,6 +52,9 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     page.wait_for_function("document.querySelectorAll('#cards [data-filled]').length === 3", timeout=90000)
     right = page.locator("[data-brush=right]")
     right.get_by_text("filled: texture").wait_for()
+    page.reload()
+    page.keyboard.press("b")
+    right.get_by_text("filled: texture").wait_for()  # what was filled is still seen
     filled = page.locator("#painting").screenshot()
     page.locator("[data-card=mean-median]").click()
     right.get_by_text("filled: mean and median").wait_for()

@@ -46,10 +46,7 @@ def test_a_mask_comes_back_from_its_runs(inpainting: Inpainting, share: float) -
     [
         (16, 13, [208], "must have 16 x 12 pixels; got 16 x 13"),
         (16, 12, [191], "runs must make up 192 pixels; got 191"),
-        (16, 12, [-1, 193], "lengths of runs"),
-        (16, 12, [10**30], "lengths of runs"),
-        (16, 12, ["192"], "lengths of runs"),
-        (16, 12, [True, 191], "lengths of runs"),
+        *((16, 12, runs, "lengths of runs") for runs in ([-1, 193], [10**30], ["192"], [True, 191])),
         (16, 12, [0] * (2**20 + 1), "at most 1048576 lengths"),
     ],
 )
@@ -109,8 +106,7 @@ def test_auto_is_the_method_that_it_names(inpainting: Inpainting) -> None:
     inpainting.paint(16, 12, [50, 4, 12, 4, 122])
     filled = inpainting.fill("auto")
     assert filled is not None
-    took = filled.figures["method"]
-    assert took in ("biharmonic", "texture")
+    assert (took := filled.figures["method"]) in ("biharmonic", "texture")
     assert np.array_equal(filled.image, clsco.inpaint(inpainting.image, inpainting.mask, method=took, device="pocl"))
 
 

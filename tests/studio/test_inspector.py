@@ -80,6 +80,7 @@ def test_an_overview_has_depths_of_the_objects_and_small_views() -> None:
     assert [entry[0] for entry in found["ranges"]] == ["Ball", "Plane"]
     for number, (_, *depths, _) in enumerate(found["ranges"]):
         assert depths == pytest.approx(np.percentile(frame.depth[frame.object_id == number], (1, 50, 99)), rel=2e-3)
+    assert found["ends"] == {"nearest": f"{found['ranges'][0][1]:.4g}", "farthest": f"{found['ranges'][1][3]:.4g}"}
     columns, rows, text = found["views"]["depth"]
     assert np.array_equal(np.frombuffer(base64.b64decode(text), "<f4").reshape(rows, columns), frame.depth)
 

@@ -71,7 +71,7 @@ def test_the_response_under_the_pointer(page: Any, root: Path) -> None:
     assert str(round(expected["sum"], 3)) in text
 
 
-def test_a_click_focuses_on_what_is_there(page: Any, running: Running) -> None:
+def test_a_click_and_enter_focus_on_what_is_there(page: Any, running: Running) -> None:
     point_at(page, PLACES[1])
     depth = page.evaluate("latest_inspected.values.depth")
     page.keyboard.press("f")
@@ -83,3 +83,9 @@ def test_a_click_focuses_on_what_is_there(page: Any, running: Running) -> None:
     assert focus == pytest.approx(depth, rel=1e-6)
     point_at(page, PLACES[1])
     page.wait_for_function("Math.abs(latest_inspected.values.blur_radius) < 1e-3", timeout=20000)
+    x = page.evaluate("latest_inspected.values.x")
+    page.keyboard.press("Shift+ArrowLeft")  # the point goes by keys, too
+    page.wait_for_function(f"latest_inspected.values.x === {x} - 40", timeout=20000)
+    depth = page.evaluate("latest_inspected.values.depth")
+    page.keyboard.press("Enter")
+    page.wait_for_function(f"Math.abs(studio.values['camera.focus_distance'] - {depth}) < 1e-3", timeout=20000)

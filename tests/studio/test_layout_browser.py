@@ -13,24 +13,28 @@ import clsco
 from clsco.studio.inspector import focus_point
 from clsco.studio.presets import FIRST
 from clsco.studio.server import STATIC
-from tests.studio.browser import box, chromium, opened, rest
+from tests.studio.browser import box, chromium, opened, rest, states
 from tests.studio.running import Running
 
 pytestmark = pytest.mark.browser
 SHIPPED = ("evening.toml", "evening.npy", "glazed.jpg", "yellow.jpg", "teal.jpg", "rose.jpg", "table.jpg")
 OPENS, FOCUS = f"{FIRST}.toml", "camera.focus_distance"
-HIDDEN = """() => [...document.querySelectorAll('[role=tab], header button, #canvas')].filter((each) => {
+HIDDEN = """() => [...document.querySelectorAll('[role=tab], header button, #canvas, #badge')].filter((each) => {
   const box = each.getBoundingClientRect(), [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
   return each.checkVisibility() && !each.contains(document.elementFromPoint(x, y)); }).map((each) => each.outerHTML)"""
 BEYOND = """() => [...document.querySelectorAll('header *, #lens-strip :not(svg *), #status *, #stage')]
   .filter((each) => each.checkVisibility()).filter((each) => { const box = each.getBoundingClientRect();
     return box.width > 0 && (box.right > innerWidth + 0.5 || box.bottom > innerHeight + 0.5);
   }).map((each) => each.outerHTML)"""
-SMALL = """(least) => [...document.querySelectorAll('button, select, input, summary, .check')].filter((each) => {
-  const { width, height } = each.getBoundingClientRect(), isPart = each.matches('.check input, .num input, .big input');
-  const isSeen = each.checkVisibility({ visibilityProperty: true }) && width > 0;
-  return isSeen && !isPart && Math.min(width, height) < least - 0.1;
-}).map((each) => each.outerHTML.slice(0, 90))"""
+CUT = """() => [...document.querySelectorAll('header button, #ruler, #opening, #point, #tabs button')].filter((each) =>
+  each.checkVisibility() && each.getBoundingClientRect().right > innerWidth).map((each) => each.outerHTML)"""
+PARTS = "label:not(.box) input, .num input, .lane input, [data-time]"  # times are as close as they are
+SMALL = """([parts, least]) => [...document.querySelectorAll('button, select, input, summary, label:not(.box):has(*)')]
+  .filter((each) => {
+    const { width, height } = each.getBoundingClientRect(), isHidden = getComputedStyle(each).clipPath !== 'none';
+    return each.checkVisibility({ visibilityProperty: true }) && width > 0 && !each.matches(parts) && !isHidden
+      && Math.min(width, height) < least - 0.1;
+  }).map((each) => each.outerHTML.slice(0, 90))"""
 
 
 @pytest.fixture(scope="module")
@@ -61,12 +65,15 @@ def test_picture_and_lens_are_large(shown: Any) -> None:
     for part, (width, height) in {"#ruler": (650, 100), "#opening": (110, 110)}.items():
         place = shown.locator(part).bounding_box()
         assert (place["width"] >= width, place["height"] >= height) == (True, True), place
-    shown.keyboard.press("i")
-    assert shown.locator("#canvas").bounding_box()["width"] == before
-    shown.keyboard.press("i")
+    for button in ("#fit", "#inspector", "#generate"):
+        shown.locator(button).click()
+        assert shown.locator("#canvas").bounding_box()["width"] == before
+    assert shown.locator("#making .primary").bounding_box()["y"] < 720
+    assert shown.locator("#making input:visible").count() <= 7  # the folder, and at most six choices
+    shown.keyboard.press("Escape")
     for path in (FOCUS, "camera.f_number"):
         assert shown.locator(f'[data-path="{path}"]:not([type=range])').count() == 1
-    assert shown.evaluate(SMALL, 24) == []
+    assert shown.evaluate(SMALL, [PARTS, 24]) == []
     sizes = shown.evaluate("[...document.querySelectorAll('body *')].map((each) => getComputedStyle(each).fontSize)")
     assert {float(size[:-2]) for size in sizes} <= {11, 12, 13, 15, 20, 28}
     for style in ("studio.css", "parts.css"):
@@ -81,6 +88,13 @@ def test_windows_hold_all(running: Running) -> None:
             page.wait_for_function(f"innerWidth === {width}")
             assert page.evaluate(BEYOND) == []
             assert {button.bounding_box()["height"] for button in page.locator("header button:visible").all()} == {32}
+
+
+def test_fingers_reach_all_controls(running: Running) -> None:
+    with opened(running, 390, 844, has_touch=True, is_mobile=True) as page:
+        faults = {name: page.evaluate(SMALL, [PARTS, 44]) + page.evaluate(CUT) for name in states(running, page)}
+        assert {name: found for name, found in faults.items() if found} == {}
+        assert page.locator("#ruler").bounding_box()["width"] >= 350
 
 
 def test_lens_and_focus_are_few_keys_away(running: Running, shown: Any) -> None:
@@ -116,6 +130,9 @@ def test_the_ruler_is_to_scale(shown: Any) -> None:
     name.click()
     (middle,) = (entry[2] for entry in ranges if entry[0] == "Yellow ball")
     shown.wait_for_function(f"Math.abs(studio.values['{FOCUS}'] - {middle}) < 1e-3")
+    shown.evaluate(f"(studio.set('{FOCUS}', 'inf'), studio.flush())")  # the ruler holds the nearest object all the same
+    shown.wait_for_function("studio.lens.focus === null && document.querySelector('#ruler input').value === '0'")
+    assert 1 < shown.evaluate(end) * min(entry[1] for entry in ranges if entry[1]) < 1.6
 
 
 def test_a_value_at_fault_is_told_in_the_status(shown: Any) -> None:
@@ -126,6 +143,7 @@ def test_a_value_at_fault_is_told_in_the_status(shown: Any) -> None:
         clsco.parse_scene({"camera": {"focal_length": 50.0, FOCUS[7:]: 5.0}, "object": [{"shape": "plane"}]})
     assert str(raised.value).endswith(shown.locator("#fault").inner_text())
     assert shown.locator("#badge").inner_text() == "Earlier values"
+    shown.evaluate(f"studio.fail(['{'x ' * 400}'])")  # a message leaves the state of the picture in sight, too
     assert shown.evaluate(HIDDEN) == []
     assert box(shown, FOCUS).get_attribute("aria-invalid") == "true"
     box(shown, FOCUS).blur()

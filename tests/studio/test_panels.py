@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 from clsco.cli.main import main
 from clsco.studio.pictures import VIEWS
-from clsco.studio.presets import presets
+from clsco.studio.tables import THESIS_TITLES
 from tests.studio import browser
-from tests.studio.browser import EXAMPLES, SHAPES, SMALL, box, choose, number, open_scene, rest, type_in, unfold
+from tests.studio.browser import SHAPES, SMALL, box, choose, number, open_scene, rest, type_in, unfold
 from tests.studio.running import Running
 from tests.studio.test_jobs import written
 
@@ -31,10 +31,7 @@ CHECKLIST = {  # labels and values of some boxes of the five panels; tests/studi
 @pytest.mark.everyday
 def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
     titles = page.locator("#panels summary h2").all_inner_texts()
-    assert titles[:5] == [
-        "Input Image File", "Select Object Type", "Select Object Properties", "Motion parameters",
-        "Camera Specifications",
-    ]  # fmt: skip
+    assert tuple(titles[:5]) == THESIS_TITLES
     unfold(page, "Select Object Type")
     shapes = page.locator('[role=radiogroup][aria-label="Object type"] label, .shapes label').all_inner_texts()
     assert [text.strip() for text in shapes][:5] == list(SHAPES)
@@ -74,19 +71,6 @@ def test_shapes_generated_are_those_of_the_command(page: Any, root: Path, label:
     folder = generated(page, root, f"out/{SHAPES[label]}")
     assert tomllib.loads((folder / "scene.toml").read_text())["object"][0]["shape"] == SHAPES[label]
     assert_made_by_the_command(folder, folder / "scene.toml", tmp_path)
-
-
-@pytest.mark.parametrize(
-    "name", ["fig_3_04_left", "fig_3_12_left", pytest.param("fig_4_13", marks=pytest.mark.everyday)]
-)
-def test_presets_generated_are_those_of_the_command(page: Any, root: Path, name: str, tmp_path: Path) -> None:
-    (title,) = [preset.title for preset in presets() if preset.name == f"thesis/{name}"]
-    browser.from_menu(page, "Presets")
-    page.get_by_role("button", name=title, exact=True).click()
-    page.wait_for_function("(title) => document.querySelector('#title').textContent.includes(title)", arg=title[:12])
-    rest(page)
-    folder = generated(page, root, f"out/{name}")
-    assert_made_by_the_command(folder, EXAMPLES / "thesis" / f"{name}.toml", tmp_path)
 
 
 def generated(page: Any, root: Path, name: str) -> Path:

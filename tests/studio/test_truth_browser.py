@@ -19,11 +19,9 @@ from tests.studio.browser import SMALL
 pytestmark = pytest.mark.browser
 FILES, OPENS = {"scene.toml": SMALL}, "scene.toml"
 VALUES: dict[str, tuple[Any, ...]] = {
-    "camera.focus_distance": (150, 200, 230, 260, 300),
-    "camera.f_number": (1.4, 2, 4, 8),
-    "object.0.distance": (180, 220, 250),
-    "object.0.texture": ("checkerboard", "bricks"),
-}
+    "camera.focus_distance": (150, 200, 230, 260, 300), "camera.f_number": (1.4, 2, 4, 8),
+    "object.0.distance": (180, 220, 250), "object.0.texture": ("checkerboard", "bricks"),
+}  # fmt: skip
 WRONG = {"camera.focus_distance": (5, "near"), "camera.f_number": (-1,), "object.0.distance": (0,)}
 WALK = """async ([path, value, wait, paths]) => {
   const box = (name) => document.querySelector(`:is(#panels, #lens-strip) [data-path="${name}"]:not([type=range])`);
@@ -55,8 +53,7 @@ WALK = """async ([path, value, wait, paths]) => {
 def test_the_badge_is_right_in_a_walk_of_changes(page: Any, steps: int, seed: int) -> None:
     chooses, paths = random.Random(seed), list(VALUES)
     known: dict[tuple[str, ...], NDArray[np.int64]] = {}
-    exact = 0
-    wrong = ""
+    exact, wrong = 0, ""
     for _ in range(steps):
         path = wrong or chooses.choice([*paths, "undo", "redo"])  # what is wrong is mended in the next step
         wrong = path if path in WRONG and not wrong and chooses.random() < 0.2 else ""

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from tests.studio.browser import SMALL, axe_faults, from_menu, number, open_scene, opened, rest, type_in
+from tests.studio.browser import SMALL, axe_faults, from_menu, number, open_scene, opened, rest, states, type_in
 from tests.studio.running import Running, until
 
 pytestmark = pytest.mark.browser
@@ -23,9 +23,6 @@ FOCUSED = """() => {
   const text = element.innerText ?? "", width = parseFloat(style.outlineWidth);
   return { part: part ?? element.tagName, text, style: style.outlineStyle, width };
 }"""
-DIALOGS = {"Keyboard": "?", "Find": "Control+k"} | dict.fromkeys(
-    ("Open", "Presets", "Save as", "Share"), ""
-)  # of the menu
 
 
 def focused(page: Any) -> dict[str, Any]:
@@ -187,43 +184,14 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
 
 
-def test_nothing_is_cut_off(page: Any) -> None:
-    beyond = """[...document.querySelectorAll('header *, #views *, #line *, #status *, #lens-strip :not(svg *)')]
-      .filter((each) => each.getBoundingClientRect().right > innerWidth).map((each) => each.outerHTML)"""
-    for width in (1280, 1000, 800):
-        page.set_viewport_size({"width": width, "height": 720})
-        page.wait_for_function(f"innerWidth === {width}")
-        assert page.evaluate(beyond) == []
-        boxes = [button.bounding_box() for button in page.locator("header button:visible").all()]
-        assert {box["height"] for box in boxes} == {32}
-    page.set_viewport_size({"width": 1280, "height": 800})
-    widths = set()
-    for button in ("#fit", "#inspector", "#generate"):  # the picture keeps its size
-        page.locator(button).click()
-        page.wait_for_timeout(200)
-        widths.add(page.locator("#canvas").bounding_box()["width"])
-    assert len(widths) == 1
-    assert page.locator("#making .primary").bounding_box()["y"] < 600
-    assert page.locator("#making input:visible").count() <= 7  # the folder, and at most six choices
-
-
-@pytest.mark.parametrize("width", [1280, pytest.param(800, marks=pytest.mark.everyday)])
-def test_axe_finds_nothing_in_any_dialog(running: Running, width: int) -> None:
-    with opened(running, width) as page:
-        if width < 900:
-            page.locator("#drawer").click()
-        faults = {"page": axe_faults(page)}
-        for name, key in DIALOGS.items():
-            page.keyboard.press(key) if key else from_menu(page, name)
-            page.locator("dialog[open]").wait_for()
-            page.wait_for_timeout(300)
-            faults[name] = axe_faults(page)
-            page.keyboard.press("Escape")
-            page.wait_for_function("document.querySelector('dialog[open]') === null")
-        for name, press in {"Generate": "Control+Enter", "Compare": "p", "Inpaint": "b"}.items():
-            page.keyboard.press(press)
-            page.wait_for_timeout(600)
-            faults[name] = axe_faults(page)
+@pytest.mark.parametrize(
+    ("scheme", "width"),
+    [("dark", 1280), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("light", 1280), ("light", 390)))],
+)
+def test_axe_finds_nothing_in_any_state(running: Running, scheme: str, width: int) -> None:
+    with opened(running, width, color_scheme=scheme) as page:
+        faults = {name: axe_faults(page) for name in states(running, page)}
+        assert len(faults) >= 21
         assert {name: found for name, found in faults.items() if found} == {}
 
 
@@ -244,3 +212,22 @@ def test_the_badge_says_of_what_the_picture_is(page: Any) -> None:
     changed = "studio.set('object.0.shape', 'sphere'), studio.flush()"
     assert page.evaluate(f"({changed}, {BADGE})") == "Earlier values"
     page.wait_for_function(f"{BADGE} === 'Exact'", timeout=20000)
+
+
+def test_generate_says_what_it_costs_and_begins_a_stack_at_the_objects(page: Any) -> None:
+    def costs(words: str) -> None:
+        page.locator("#cost", has_text=words).wait_for(timeout=20000)
+
+    page.keyboard.press("Control+Enter")
+    costs(", about ")
+    for value, words in (([256, 256], "cost not known yet"), ([256, 256], ", about "), (-1, "; invalid: camera")):
+        page.evaluate("(value) => studio.set('camera.resolution', value)", value)
+        costs(words)
+    assert page.locator("#making .primary").is_disabled()
+    page.evaluate("(studio.set('camera.resolution', [256, 256]), studio.set('object.0.distance', 300))")
+    page.locator("#making .primary:enabled").wait_for()
+    page.locator("#making summary").first.click()
+    page.locator("#making").get_by_label("Render").select_option("stack")
+    page.wait_for_function("document.querySelector('#stack-nearest').value === '240'", timeout=20000)
+    page.wait_for_timeout(300)
+    assert page.get_by_label("Nearest focus distance").input_value() == "240"

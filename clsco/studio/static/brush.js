@@ -252,6 +252,7 @@ const load = async () => {
   const small = part("thumbnail"), scale = Math.max(small.width / columns, small.height / rows);
   small.getContext("2d").drawImage(picture, (small.width - scale * columns) / 2, (small.height - scale * rows) / 2, scale * columns, scale * rows);
   viewport.fit();
+  for (const card of all("[data-filled]")) await filled(card.dataset.card); // after the page was loaded again
 };
 
 const masked = async () => {
@@ -343,7 +344,6 @@ on("click", (_, target) => {
   if (image !== null) ACTIONS[target.closest("[data-brush]")?.dataset.brush]?.();
   const { card, filled: isFilled, stale } = target.closest("[data-card]")?.dataset ?? {};
   if (isFilled === undefined || stale !== undefined) return;
-  if (!fillings.has(card)) { filled(card); return; } // after the page was loaded again
   chosen = card;
   deal();
   draw();

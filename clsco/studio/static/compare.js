@@ -3,30 +3,38 @@
 import { RUNG } from "./protocol.js";
 import { brief } from "./scales.js";
 import { all, made, on, one, reword, studio } from "./shared.js";
+import { defaults } from "./views.js";
 
 const FACTOR = 8; // of the difference
-const WORDS = { "camera.f_number": (value) => `f/${brief(value)}`, "camera.focus_distance": (value) => `${brief(value)} mm` };
+const WORDS = {
+  eye: String, frame: (value) => `frame ${value + 1}`,
+  "camera.f_number": (value) => `f/${brief(value)}`, "camera.focus_distance": (value) => `${brief(value)} mm`,
+};
 
-/** @type {{ image: HTMLCanvasElement, values: Record<string, any> | null, view: string } | null} */
-let pinned = null; // values: of the scene; null as the thesis
-let waits = false, asked = false, differs = false, flipped = false; // waits: for the next exact frame; asked: for that of the thesis
+/** @typedef {Record<string, any>} Values of the scene, and eye and frame that are shown */
+/** @type {{ image: HTMLCanvasElement, values: Values, view: string, words: string } | null} */
+let pinned = null;
+/** @type {Values | null} */
+let asked = null; // of the scene whose frame as the thesis is awaited
+let waits = false, differs = false, flipped = false; // waits: for the next exact frame
+const shown = (values = studio.values) => ({ ...values, eye: studio.right ? "right eye" : "left eye", frame: studio.index });
 
 const pin = () => { // the exact frame
   waits = studio.rung !== RUNG.EXACT;
-  if (!waits) keep(one("#canvas"), studio.view, { ...studio.values });
+  if (!waits) keep(one("#canvas"), studio.view, shown(), "pinned");
 };
 
-studio.pinned = (image, { full: [width, height], view }) => { if (asked) keep(image, view, null, width, height); };
+studio.pinned = (image, { full: [width, height], view }) => { if (asked) keep(image, view, shown(asked), "as the thesis", width, height); };
 
-const keep = (source, view, values, width = source.width, height = source.height) => {
+const keep = (source, view, values, words, width = source.width, height = source.height) => {
   const image = made("canvas", { width, height });
   image.getContext("2d")?.drawImage(source, 0, 0);
-  [pinned, asked] = [{ image, values, view }, false];
+  [pinned, asked] = [{ image, values, view, words }, null];
   show();
 };
 
 const end = () => {
-  [pinned, waits, asked, differs, flipped] = [null, false, false, false, false];
+  [pinned, waits, asked, differs, flipped] = [null, false, null, false, false];
   show();
 };
 
@@ -36,13 +44,14 @@ const show = () => {
   studio.viewport.lay(one("#wipe"));
 };
 
-/** What the scene has where another differs: its f-number or focus, else another value. */
+/** What the picture has where another differs: its eye, frame, f-number or focus, else another value; an empty box means its default. */
 const named = (values, other) => {
-  const differ = (path) => values[path] !== other[path];
+  const normal = Object.fromEntries(defaults().flatMap(([, each]) => each)), meant = (of, path) => of[path] ?? normal[path] ?? 0;
+  const differ = (path) => meant(values, path) !== meant(other, path);
   const words = Object.entries(WORDS).filter(([path]) => differ(path)).map(([path, word]) => word(values[path]));
   if (words.length) return words.join(", ");
   const box = all("#panels [data-kind][data-path]").find(({ dataset }) => differ(dataset.path));
-  return box ? `${box.getAttribute("aria-label")} ${brief(values[box.dataset.path])}` : "";
+  return box ? `${box.getAttribute("aria-label")} ${brief(meant(values, box.dataset.path))}` : "";
 };
 const tag = (place, words, detail) => {
   reword(place, detail ? `${words}: ${detail}` : words);
@@ -58,16 +67,15 @@ const compare = () => {
   one("[data-compare=difference]").setAttribute("aria-pressed", String(differs));
   over.hidden = then.hidden = now.hidden = one("#wipe").hidden = true;
   if (pinned === null) return;
-  const canvas = one("#canvas"), { image, values, view } = pinned, isSplit = !differs && !flipped;
-  const of = values === null ? "as the thesis" : "pinned";
-  if (image.width !== canvas.width || image.height !== canvas.height || view !== studio.view) { tag(then, of, "another view or size"); return; }
+  const canvas = one("#canvas"), { image, values, view, words } = pinned, isSplit = !differs && !flipped;
+  if (image.width !== canvas.width || image.height !== canvas.height || view !== studio.view) { tag(then, words, "another view or size"); return; }
   if (differs && !flipped && studio.rung !== RUNG.EXACT) { tag(then, "difference", "once it is exact"); return; } // a preview differs anyway
   over.hidden = false;
   one("#wipe").hidden = !isSplit;
   lay(over, image, isSplit);
   if (differs && !flipped) { tag(then, `difference × ${FACTOR}`, difference(canvas, over)); return; }
-  tag(then, of, values === null ? "" : named(values, studio.values));
-  if (isSplit) tag(now, "now", values === null ? "" : named(studio.values, values));
+  tag(then, words, named(values, shown()));
+  if (isSplit) tag(now, "now", named(shown(), values));
 };
 
 const lay = (over, image, isSplit) => { // over the picture, as far as the wipe leaves it
@@ -98,19 +106,20 @@ const difference = (canvas, over) => { // shown in place of the pinned frame; gi
 
 studio.compare = compare;
 const ACTIONS = {
-  this: pin, thesis: () => { asked = true; studio.send({ do: "pin thesis" }); }, toggle: () => { if (pinned || waits) end(); else pin(); show(); },
+  this: pin, thesis: () => { asked = { ...studio.values }; studio.send({ do: "pin thesis" }); },
+  toggle: () => { if (pinned || waits) end(); else pin(); show(); },
   flip: () => { flipped = !flipped; show(); }, difference: () => { differs = pinned !== null && !differs; show(); },
 };
 const KEYS = { p: ACTIONS.toggle, d: ACTIONS.difference };
 studio.compares = (event) => { // a key
   KEYS[event.key.toLowerCase()]?.();
-  if (event.key !== " " || event.target !== document.body || event.repeat || flipped) return;
+  if (event.key !== " " || !event.target.matches("body, #stage") || event.repeat || flipped) return;
   event.preventDefault();
   ACTIONS.flip();
 };
 
 studio.parts.push(() => {
-  on("keyup", (event) => { if (event.key === " " && flipped && event.target === document.body) ACTIONS.flip(); });
+  on("keyup", (event, target) => { if (event.key === " " && flipped && target.matches("body, #stage")) ACTIONS.flip(); });
   on("click", (_, target) => { ACTIONS[target.closest("[data-compare]")?.dataset.compare]?.(); });
   one("#comparing").addEventListener("click", ACTIONS.toggle);
   one("#wipe").addEventListener("input", show);

@@ -67,7 +67,7 @@ studio.isPinned = () => isPinned;
 studio.hearing.push((said) => {
   const found = said.about?.point;
   if (found && at === null) { // it comes with an exact frame
-    model = found.psf;
+    [model, shownAt] = [found.psf, [found.values.x, found.values.y]];
     studio.describe(found.values);
     spread();
   }
@@ -162,7 +162,19 @@ studio.rested = () => { // of the point; and, once nothing changes, of the whole
   idle = setTimeout(() => { if (studio.rung === RUNG.EXACT && !studio.isCanceled()) studio.send({ overview: true }); }, IDLE);
 };
 
+const ARROWS = { ArrowRight: [4, 0], ArrowLeft: [-4, 0], ArrowDown: [0, 4], ArrowUp: [0, -4] }; // px
+const steer = (event) => { // the point, by keys: false for other keys
+  const by = ARROWS[event.key], from = at ?? shownAt, { width, height } = one("#canvas");
+  if (!event.target.matches("body, #stage") || from === null || !(by || (event.key === "Enter" && isPinned))) return false;
+  event.preventDefault();
+  const to = (k, size) => Math.min(Math.max(from[k] + by[k] * (event.shiftKey ? 10 : 1), 0), size - 1);
+  if (by) point([to(0, width), to(1, height)], true);
+  else studio.send({ focus: at, drag: drag += 1 });
+  return true;
+};
+
 studio.extra = (event) => {
+  if (steer(event)) return;
   if (event.key === "f" || event.key === "F") studio.take("focus");
   else if (event.key === "m" || event.key === "M") studio.take("move");
   else studio.compares(event);

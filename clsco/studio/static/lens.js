@@ -5,6 +5,7 @@ import { all, made, one, reword, stroked, studio } from "./shared.js";
 
 const SHARP = 0.5; // px, |R| below which a point is in focus
 const TOP = 40; // px of blur disc up to which the V is drawn to scale
+const NEAREST = 1.05; // focal lengths, which the ruler does not reach
 const ROUND = 12, WIDEST = 1.4; // blades of a round iris; stops below are shown where the scene has them
 const FOCUS = "camera.focus_distance", STOP = "camera.f_number";
 const rounded = (value) => brief(Number(value.toPrecision(Math.max(3, Math.ceil(Math.log10(value))))));
@@ -152,20 +153,23 @@ studio.hearing.push(({ lens, overview, file, title }) => {
   if (ranges) objects = ranges.sort((a, b) => (a[1] ?? Infinity) - (b[1] ?? Infinity)); // from near to far
   if (lens) {
     studio.lens = lens;
-    const far = lens.far === null ? "mm to infinity" : `to ${rounded(lens.far)} mm`;
-    reword(one("#in-focus"), `sharp from ${rounded(lens.near)} ${far}`);
+    const near = rounded(lens.near), far = lens.far === null ? "mm to infinity" : `to ${rounded(lens.far)} mm`;
+    reword(one("#in-focus"), far === `to ${near} mm` ? `sharp at ${near} mm` : `sharp from ${near} ${far}`);
     reword(one("#deep"), lens.far === null ? "" : `${brief(Number((lens.far - lens.near).toPrecision(2)))} mm deep`);
     reword(one("#dioptres"), lens.focus === null ? "0 D" : `${(1000 / lens.focus).toFixed(2)} D`);
-    const range = slider();
-    if (!range.matches(":active")) { // its end follows what is in focus, but for while that is dragged
-      range.min = placeOf(range, lens.nearest);
-      range.max = 0;
-      range.dataset.step = "2e-5"; // 0.02 dioptres
-      if (typeof studio.values[FOCUS] === "number") range.value = placeOf(range, studio.values[FOCUS]);
-    }
   }
-  if (lens || ranges) draw();
+  if (lens || ranges) { end(); draw(); }
 });
+
+const end = () => { // the near end of the ruler: beyond the focus, what is sharp and the objects, in steps; not while it is dragged
+  const range = slider(), { lens } = studio, near = Math.min(...objects.map(([, depth]) => depth ?? Infinity));
+  if (!lens || range.matches(":active")) return;
+  const most = Math.max(2 / (lens.focus ?? lens.near), 1.1 / lens.near, 1.2 / near);
+  range.min = -Math.min(2 ** (Math.ceil(4 * Math.log2(most)) / 4), 1 / (NEAREST * lens.focal_length));
+  range.max = 0;
+  range.dataset.step = "2e-5"; // 0.02 dioptres
+  range.value = placeOf(range, lens.focus ?? Infinity);
+};
 
 // ---- the point in the picture, in a sentence -----------------------------------------------------------------------
 /** @type {{ x: number, y: number, depth: number | null, radius: number } | null} */
@@ -176,10 +180,10 @@ studio.describe = (values) => {
   studio.viewport.changed();
   if (typeof radius !== "number") { reword(one("#who"), "Nothing"); reword(one("#what"), "no surface"); return; }
   const disc = 2 * Math.abs(radius), kind = disc < 2 * SHARP ? "sharp" : disc < 4 ? "nearly sharp" : "soft";
-  const name = object ? object[0].toUpperCase() + object.slice(1) : "Surface", far = depth === null || focus === null || focus === undefined;
-  const gap = far ? "at infinity" : `${brief(Number(Math.abs(depth - focus).toPrecision(2)))} mm ${depth > focus ? "behind" : "before"} the focus`;
+  const name = object ? object[0].toUpperCase() + object.slice(1) : "Surface", isFar = depth === null;
+  const gap = focus ? `${brief(Number(Math.abs(depth - focus).toPrecision(2)))} mm ${depth > focus ? "behind" : "before"} the focus` : "before the focus";
   reword(one("#who"), `${name}, ${kind}`);
-  reword(one("#what"), `${far ? "" : `${marked(depth)}${depth < 1000 ? " mm" : ""}: `}${gap}, blur disc ${disc.toFixed(1)} px`);
+  reword(one("#what"), `${isFar ? "at infinity" : `${marked(depth)}${depth < 1000 ? " mm" : ""}: ${gap}`}, blur disc ${disc.toFixed(1)} px`);
 };
 
 studio.overlays.push((context, place) => { // a ring as large as the blur of the point

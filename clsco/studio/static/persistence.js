@@ -4,7 +4,7 @@ import { all, on, one, studio } from "./shared.js";
 
 const PREFIX = "clsco-tab-", MOST = 8, LONGEST = 60000; // scenes; characters of one, less than a message may have
 const PAUSE = 200; // ms without a change
-const CONTROLS = "#studio :is(button, input, select, textarea, summary), dialog :is(button, input, select, summary)";
+const CONTROLS = "#studio :is(button:not(#scene), input, select, textarea, summary), dialog :is(button, input, select, summary)";
 /** @type {{ typed: Record<string, unknown> } | null} */
 let kept = null; // the scene as the server told it
 let underway = new Map(), timer = 0; // values that were sent before the server was asked for it
@@ -61,6 +61,7 @@ studio.hearing.push((said) => {
 
 const still = (is) => { // without a server the page is read, and not worked
   for (const control of all(CONTROLS)) control.inert = is;
+  for (const part of all("#lens-strip, #panels-scroll, #recipes, #views, #paint, #fills")) part.tabIndex = is ? 0 : -1; // to be scrolled by keys
 };
 on("keydown", (event) => {
   if (studio.tab && !studio.isOpen() && !event.key.includes("Tab")) event.stopImmediatePropagation();

@@ -33,17 +33,17 @@ const stopped = () => {
 };
 studio.isCanceled = () => canceled;
 
-let took = 0; // s, an exact frame
+let timed = { took: 0, revision: -1 }, revision = 0; // timed: s of an exact frame, and of which scene
 const time = (seconds) => {
   const [unit, size] = seconds < 100 ? ["s", 1] : seconds < 6000 ? ["min", 60] : ["h", 3600];
   return `${Number((seconds / size).toPrecision(2))} ${unit}`;
 };
 const predicted = () => { // what Generate is about to take
-  for (const place of all("[data-took]")) {
-    const seconds = took * Number(place.dataset.took);
-    place.textContent = seconds ? `, about ${time(seconds)}` : "";
-    reword(one("#making .primary"), `Generate ${place.dataset.amount}`);
-  }
+  const place = one("[data-took]"), button = one("#making .primary"), count = Number(place.dataset.took), isKnown = timed.revision === revision;
+  button.disabled = count > 0 && Object.keys(studio.faults).length > 0;
+  const cost = isKnown ? `about ${time(timed.took * count)}` : "cost not known yet";
+  reword(place, button.disabled ? `; invalid: ${one("#fault").textContent}` : count ? `, ${cost}` : "");
+  reword(button, `Generate ${place.dataset.amount}`);
 };
 
 studio.parts.push(predicted);
@@ -57,8 +57,9 @@ const speak = () => { // how far jobs are, not too often
 
 studio.hearing.push((said) => {
   if (said.progress) progressed(said.progress);
-  if (said.about?.took) took = said.about.took;
-  if (said.about || said.part) predicted();
+  if (said.about?.took && said.about.is_whole) timed = said.about;
+  if ("undo" in said) revision = said.revision;
+  if (said.about || said.part || said.faults) predicted();
   if (said.part) speak();
   if (said.stopped) stopped();
 });

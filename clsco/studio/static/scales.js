@@ -12,7 +12,7 @@ const SCALES = {
   stops: { place: (value) => 6 * Math.log2(value), value: stop },
 };
 
-export const placeOf = (slider, value) => SCALES[slider.dataset.scale]?.place(Number(value)) ?? value;
+export const placeOf = (slider, value) => SCALES[slider.dataset.scale]?.place(value === "inf" ? Infinity : Number(value)) ?? value;
 
 /** Value of a slider at a place, rounded to what can be told apart by dragging it. */
 export const valueAt = (slider, place = Number(slider.value)) => {

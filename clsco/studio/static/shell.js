@@ -89,7 +89,7 @@ let chosen = 0;
 const search = () => {
   const words = one("#palette input").value.toLowerCase().replaceAll("-", " ").split(/\s+/).filter(Boolean);
   const buttons = all(COMMANDS).filter((each) => !each.disabled && words.every((word) => called(each).toLowerCase().includes(word)));
-  found = [...value(words), ...buttons.map((each) => command(called(each), () => each.click()))].slice(0, 12);
+  found = [...value(words), ...buttons.map((each) => command(called(each), () => { each.focus(); each.click(); }))].slice(0, 12);
   mark(0);
 };
 const mark = (at) => {

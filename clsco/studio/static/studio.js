@@ -358,20 +358,19 @@ const valued = (values) => {
 };
 
 let failing = 0;
-const fail = (messages) => notify(messages.join("\n"), false);
-const notify = (text, isGood) => { // above all, dialogs too
+const fail = (messages) => notify(messages.join(";\n"), false);
+const notify = (text, isGood) => { // in the status, or above a dialog
   const place = one("#message");
-  place.textContent = text;
+  place.textContent = place.title = text;
   place.toggleAttribute("data-good", isGood);
   place.hidden = false;
-  place.title = text;
-  place.showPopover();
+  if (one("dialog:modal")) place.showPopover();
   clearTimeout(failing);
-  failing = setTimeout(dismiss, isGood ? 5000 : 12000);
+  failing = setTimeout(dismiss, isGood ? 3000 : 6000);
 };
 const dismiss = () => { // false where there is no message
   const place = one("#message"), isThere = !place.hidden;
-  if (isThere) place.hidePopover();
+  place.hidePopover();
   place.hidden = true;
   return isThere;
 };
@@ -391,6 +390,7 @@ const controls = () => {
     on(end, (_, control) => { if (control.dataset?.path) dragged = null; });
   }
   on("keydown", stepped, { capture: true });
+  on("close", () => one("#message").hidePopover(), { capture: true }); // it is seen in the status
   on("focusin", opens);
   on("focusout", leaves);
   on("click", (_, target) => {

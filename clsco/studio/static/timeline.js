@@ -171,6 +171,7 @@ const begin = () => {
 };
 
 studio.hearing.push((said) => {
+  for (const [name, value] of Object.entries(said.overview?.ends ?? {})) one(`#stack-${name}`).defaultValue = value; // unless it was typed
   if ("frames" in said) {
     [frames, interval] = [said.frames, said.interval];
     line();

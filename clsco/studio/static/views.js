@@ -37,6 +37,12 @@ const thumbnail = (view, canvas) => { // small, beside the picture
   context.drawImage(canvas, (small.width - width) / 2, (small.height - height) / 2, width, height);
 };
 
+/** Labels of fields, and the path and default of each of their boxes. @type {() => [any, [string, any][]][]} */
+export const defaults = () => all("[data-default]").map((label) => {
+  const normal = [JSON.parse(label.dataset.default)].flat(2), boxes = [...label.parentElement.querySelectorAll("[data-path]:not([type=range])")];
+  return [label, boxes.map(({ dataset }, k) => [dataset.path, normal[k] ?? null])];
+});
+
 export const summed = () => { // the values of closed panels, and views that have no meaning for the scene
   const { values } = studio, shapes = one("[data-path$='.shape']:checked")?.closest("label").textContent;
   for (const place of all("[data-brief]")) {
@@ -45,9 +51,8 @@ export const summed = () => { // the values of closed panels, and views that hav
     else if (path.endsWith(".shape")) reword(place, shapes ?? "");
     else reword(place, typeof value === "number" ? `${brief(value)} mm` : String(value ?? "").split("/").at(-1));
   }
-  for (const label of all("[data-default]")) { // a dot where a value is not the default
-    const boxes = [...label.parentElement.querySelectorAll("[data-path]:not([type=range])")], normal = [JSON.parse(label.dataset.default)].flat(2);
-    label.toggleAttribute("data-other", boxes.some(({ dataset: { path } }, k) => values.given?.includes(path) && values[path] !== (normal[k] ?? null)));
+  for (const [label, boxes] of defaults()) { // a dot where a value is not the default
+    label.toggleAttribute("data-other", boxes.some(([path, normal]) => values.given?.includes(path) && values[path] !== normal));
   }
   values.warps = values["motion.warp"] === "forward";
   for (const tab of all("[data-rare]")) tab.toggleAttribute("data-rare-now", !values[tab.dataset.rare]);

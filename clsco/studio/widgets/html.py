@@ -173,7 +173,7 @@ def tried(action: Callable[[], object]) -> bool:
         action()
     except ClscoError as error:
         messages = error.messages if isinstance(error, SceneError) else (str(error),)
-        notify("\n".join(messages[:6]), is_good=False)
+        notify(";\n".join(messages[:6]), is_good=False)
         return False
     return True
 

@@ -68,9 +68,9 @@ class Painting:
 
     def _changed(self, call: str) -> None:
         """Have the brush load another image or mask, which has no results."""
-        self._brush(call)
         self._cards.refresh()
         self._results.refresh()
+        self._brush(call)
 
     def _save_mask(self) -> None:
         self._inpainting.save_mask(self._typed["mask"])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import time
+from collections import ChainMap
+from collections.abc import MutableMapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -34,12 +36,12 @@ class GenerateForm:
         self._is_set, self._free = False, generate.free_folder(session)
         self._device = ["--device", device] if device else []
         self._chosen = {generate.PICTURE: True}
-        self._answers: dict[str, Any] = {
+        self._answers: ChainMap[str, Any] = ChainMap({
             "kind": "frames", "folder": self._free, "subframes": False, "preset": "", "form": generate.first_format(),
-            "nearest": "200", "farthest": "400", "steps": "9", "distribution": "", "count": "100", "seed": "0",
-        }  # fmt: skip
+            "steps": "9", "distribution": "", "count": "100", "seed": "0",
+        }, session.ends)  # fmt: skip
         self._folder = PagePart(lambda: self._box("folder", "Into the folder"))
-        self._kind, self._line = PagePart(self._draw_kind), PagePart(self._draw_line)
+        self._kind, self._line = PagePart(self._draw_kind, lambda: [*session.ends.values()]), PagePart(self._draw_line)
         self.cost = PagePart(self._draw_cost, self._total)
         page().endings.append(session.subscribe(self._renew))
 
@@ -50,6 +52,7 @@ class GenerateForm:
             self._free = self._answers["folder"] = free
             self._folder.refresh()
             self._line.refresh()
+        self._kind.changed()
         self.cost.changed()
 
     @property
@@ -76,7 +79,7 @@ class GenerateForm:
             say("summary", "The same by hand")
             self._line()
 
-    def _answer(self, answers: dict[Any, Any], name: object, value: object) -> None:
+    def _answer(self, answers: MutableMapping[Any, Any], name: object, value: object) -> None:
         answers[name] = value
         self._line.refresh()
         self.cost.changed()
@@ -160,7 +163,7 @@ class GenerateForm:
 
     def _draw_cost(self) -> None:
         amount, count, size = self._total()
-        with say("span", class_="quiet"):
+        with say("span", id="cost", class_="quiet"):
             say("span", size)
             say("span", data_took=count, data_amount=amount)
 
