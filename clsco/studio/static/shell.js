@@ -74,28 +74,35 @@ on("keydown", (event, target) => {
 // ---- commands by words ---------------------------------------------------------------------------------------------
 const called = (button) => button.getAttribute("aria-label") ?? button.textContent.trim();
 const COMMANDS = "#studio > header button, #views [role=tab], .panel > summary, .chip, #names button, #line button, #shown-panel button, .swatch";
-/** @type {(label: string, act: () => void) => [string, () => void]} */
-const command = (label, act) => [label, act];
+const KEY = /(?:^|\()((?:(?:Ctrl|Shift) )*(?:[A-Z?[]|Enter))\)?$/; // at the end of a title
+/** @typedef {{ label: string, act: () => void, icon?: Element | null, key?: string }} Command */
+/** @type {(button: HTMLElement) => Command} */
+const command = (button) => ({
+  label: called(button), icon: button.querySelector("svg"), key: KEY.exec(button.title)?.[1],
+  act: () => { button.focus(); button.click(); },
+});
 const value = (words) => { // a number after the words of a field: "f number 4"
   const number = Number(words.at(-1)), names = words.slice(0, -1);
   if (!names.length || !Number.isFinite(number)) return [];
   const fits = (box) => names.every((word) => `${box.getAttribute("aria-label")} ${box.dataset.path}`.toLowerCase().includes(word));
   return all('#studio input[type=text][data-kind][data-path]').filter(fits).slice(0, 4).map((box) =>
-    command(`${box.getAttribute("aria-label")}: ${number}`, () => studio.set(box.dataset.path, number)));
+    ({ label: `${box.getAttribute("aria-label")}: ${number}`, act: () => studio.set(box.dataset.path, number) }));
 };
-/** @type {[string, () => void][]} */
+/** @type {Command[]} */
 let found = [];
 let chosen = 0;
 const search = () => {
   const words = one("#palette input").value.toLowerCase().replaceAll("-", " ").split(/\s+/).filter(Boolean);
-  const buttons = all(COMMANDS).filter((each) => !each.disabled && words.every((word) => called(each).toLowerCase().includes(word)));
-  found = [...value(words), ...buttons.map((each) => command(called(each), () => { each.focus(); each.click(); }))].slice(0, 12);
+  const isFound = (each) => words.every((word) => called(each).toLowerCase().includes(word));
+  const buttons = all(COMMANDS).filter((each) => !each.disabled && !each.closest("dialog") && each.id !== "scene" && isFound(each));
+  found = [...value(words), ...buttons.map(command)].slice(0, 12);
   mark(0);
 };
 const mark = (at) => {
   chosen = Math.min(Math.max(at, 0), Math.max(found.length - 1, 0));
-  one("#found").replaceChildren(...found.map(([label], k) => {
-    const item = made("li", { id: `command-${k}`, onclick: () => run(k) }, label);
+  one("#found").replaceChildren(...found.map(({ label, icon, key }, k) => {
+    const item = made("li", { id: `command-${k}`, onclick: () => run(k) }, icon?.cloneNode(true) ?? "", made("span", {}, label));
+    if (key) item.append(made("kbd", {}, key));
     item.setAttribute("role", "option");
     item.setAttribute("aria-selected", String(k === chosen));
     return item;
@@ -104,7 +111,7 @@ const mark = (at) => {
 };
 const run = (at) => {
   one("#palette").close();
-  found[at]?.[1]();
+  found[at]?.act();
 };
 studio.find = () => {
   one("#palette input").value = "";
