@@ -82,7 +82,9 @@ def test_picture_and_lens_are_large(shown: Any) -> None:
 
 def test_windows_hold_all(running: Running) -> None:
     with opened(running, 640, 400) as page:
-        assert page.evaluate(BEYOND) == []
+        for mode in ("inpaint", "lens"):
+            page.locator(f"[data-mode={mode}]").click()
+            assert page.evaluate(BEYOND) == []
         for width in (1280, 1000, 800):
             page.set_viewport_size({"width": width, "height": 720})
             page.wait_for_function(f"innerWidth === {width}")

@@ -264,6 +264,7 @@ const masked = async () => {
 
 // The frame that is shown, as an image of the studio's folder; gives its name.
 const shownFrame = async () => {
+  while (one("#canvas").width === 1) await new Promise((done) => { setTimeout(done, 100); }); // no picture yet
   const blob = await new Promise((done) => { one("#canvas").toBlob(done, "image/png"); });
   return studio.uploaded(Object.assign(blob, { name: "frame.png" }));
 };
