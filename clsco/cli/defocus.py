@@ -234,11 +234,11 @@ def _blur(loaded: PictureLayers, computation: Computation) -> NDArray[np.float32
     options |= {"psf": scene.psf, "aperture": scene.aperture, "camera": scene.camera}
     item = next(item for item in scene.objects if isinstance(item, DepthMap))
     options["soft_edges"] = item.soft_edges
-    given: dict[str, Any] = {"layers": loaded.layers}
+    images: dict[str, Any] = {"layers": loaded.layers}
     if loaded.is_opaque and len(loaded.layers) == 1:
         ((rgba, radius),) = loaded.layers
-        given = {"image": rgba[..., : 1 if loaded.is_gray else 3], "blur_radius": radius}
-    image, report = defocus(**given, return_report=True, **options)
+        images = {"image": rgba[..., : 1 if loaded.is_gray else 3], "blur_radius": radius}
+    image, report = defocus(**images, return_report=True, **options)
     if report.soft_edges:
         where = str(item.depth) if len(loaded.layers) == 1 else "layers"
         pixels = sum(radius.size for _, radius in loaded.layers)

@@ -84,7 +84,7 @@ def test_errors_near_the_edges() -> None:
     edges[1] = True
     image, noise = np.where(edges, 0.1, 0.0), np.zeros((2, 4, 5))
     noise[0, 2], noise[1, 3] = 0.05, -0.05  # has no share, as that of two pictures is independent
-    figures = compare(image, Judged(*noise, edges, 0.0, 0.0), 2.5)
+    figures = compare(image, Judged(noise[0], noise[1], edges, 0.0, 0.0), 2.5)
     # A quarter of the pixels has the error 0.1: 20 dB there, 10 log10(4) more in the whole.
     assert figures.psnr_edges == pytest.approx(20.0, abs=1e-12)
     assert figures.psnr == pytest.approx(20.0 + 10 * math.log10(4), abs=1e-12)
