@@ -37,7 +37,7 @@ from tests.studio.running import studio
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCENES = ("sphere", "occlusion_three", "sphere_moving")
 DRAGGED = {"evening": (594, 650), "sphere": (250, 300), "occlusion_three": (250, 300), "portrait": (1200, 1500)}
-HEIGHTS = {1280: 800, 390: 844}
+HEIGHTS = {1280: 800, 390: 844, 640: 400}  # the last one is a window at 200 %
 WAIT = 180_000  # ms
 WATCH_BADGE = """() => {
   const badge = document.querySelector("#badge");

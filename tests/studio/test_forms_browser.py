@@ -53,7 +53,7 @@ def test_painted_pixels_are_filled_by_all_methods(page: Any, root: Path) -> None
     right = page.locator("[data-brush=right]")
     right.get_by_text("filled: texture").wait_for()
     page.reload()
-    page.keyboard.press("b")
+    page.get_by_role("radio", name="Inpaint").click()
     right.get_by_text("filled: texture").wait_for()  # what was filled is still seen
     filled = page.locator("#painting").screenshot()
     page.locator("[data-card=mean-median]").click()

@@ -236,7 +236,9 @@ const filled = async (method, methods = [...fillings.keys(), method]) => {
 };
 
 // ---- image and mask of the server -------------------------------------------------------------------------------
+const soon = () => new Promise((done) => { setTimeout(done, 100); });
 const load = async () => {
+  while (!studio.isOpen()) await soon(); // the server knows what this tab had
   const { name } = await (await fetch(address("mask"))).json(), picture = new Image();
   if (!name) { part("frame").click(); return; } // of this tab
   picture.src = address("picture", `&which=image&at=${Date.now()}`);
@@ -252,8 +254,18 @@ const load = async () => {
   const small = part("thumbnail"), scale = Math.max(small.width / columns, small.height / rows);
   small.getContext("2d").drawImage(picture, (small.width - scale * columns) / 2, (small.height - scale * rows) / 2, scale * columns, scale * rows);
   viewport.fit();
-  for (const card of all("[data-filled]")) await filled(card.dataset.card); // after the page was loaded again
+  isFresh = true;
+  await refill();
 };
+
+let isFresh = false; // its cards, which may come later, may be filled already, if the page was loaded again
+const refill = async () => {
+  const cards = all("[data-filled]");
+  if (!isFresh || !cards.length) return;
+  isFresh = false;
+  for (const card of cards) await filled(card.dataset.card);
+};
+studio.hearing.push((said) => { if ("part" in said) setTimeout(refill); });
 
 const masked = async () => {
   const { error, runs } = await (await fetch(address("mask"))).json();
@@ -264,7 +276,7 @@ const masked = async () => {
 
 // The frame that is shown, as an image of the studio's folder; gives its name.
 const shownFrame = async () => {
-  while (one("#canvas").width === 1) await new Promise((done) => { setTimeout(done, 100); }); // no picture yet
+  while (one("#canvas").width === 1) await soon(); // no picture yet
   const blob = await new Promise((done) => { one("#canvas").toBlob(done, "image/png"); });
   return studio.uploaded(Object.assign(blob, { name: "frame.png" }));
 };
