@@ -174,8 +174,10 @@ def clip(hand: Hand) -> None:
     hand.click("#making summary")
     hand.clicks += 1
     hand.page.get_by_label("Clip beside the frames").select_option("mp4")
+    clips = hand.page.locator(".job video")
+    before = clips.count()
     hand.click("#making button.primary")
-    hand.page.locator(".job video").first.wait_for(timeout=WAIT, state="attached")
+    clips.nth(before).wait_for(timeout=WAIT, state="attached")
 
 
 def data_set(hand: Hand) -> None:
@@ -187,8 +189,10 @@ def data_set(hand: Hand) -> None:
     sheet.get_by_label("Distribution file").select_option("set.toml")
     hand.texts += 1
     sheet.get_by_label("Samples", exact=True).fill("4")
+    sets = hand.page.locator(".job.done code", has_text="dataset")
+    before = sets.count()
     hand.click("#making button.primary")
-    hand.page.locator(".job.done code", has_text="dataset").first.wait_for(timeout=WAIT, state="attached")
+    sets.nth(before).wait_for(timeout=WAIT, state="attached")
 
 
 def share(hand: Hand) -> None:
