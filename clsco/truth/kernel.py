@@ -278,7 +278,7 @@ def _bend_rays(rays, hits, moment, count, left_out, posed, band, shapes, moments
 
 @njit(cache=True)
 def _aim_rays(rays, count, moment, place, posed, band, moments, optics):  # type: ignore[no-untyped-def]
-    """Set rays from their lens points to points in a rectangle around a point of an object's frame, and weights."""
+    """Set rays from their lens points to points in a rectangle around a point of an object, and their weights."""
     p0, p1, p2, p3, p4 = place
     for s in range(count):
         lens, m = moments.lenses[moment[s]], posed[s:]

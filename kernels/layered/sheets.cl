@@ -112,14 +112,14 @@ typedef struct {
 } around_t;
 
 // Pixels of the coarser level (rows, columns) around pixel (y, x) of the finer one; known: plane of the coarser level;
-// alike: true if pulled pixels count as much as known ones.
-static around_t around(__global const float *known, int rows, int columns, int y, int x, bool alike) {
+// with_pulled: true if pulled pixels count as much as known ones.
+static around_t around(__global const float *known, int rows, int columns, int y, int x, bool with_pulled) {
     const int row = y / 2, other_row = y % 2 ? MIN(row + 1, rows - 1) : MAX(row - 1, 0);
     const int column = x / 2, other_column = x % 2 ? MIN(column + 1, columns - 1) : MAX(column - 1, 0);
     around_t near;
     near.place = (int4)(row, row, other_row, other_row) * columns + (int4)(column, other_column, column, other_column);
     near.share = (float4)(known[near.place.x], known[near.place.y], known[near.place.z], known[near.place.w]);
-    if (alike)
+    if (with_pulled)
         near.share = MIN(near.share / PULLED, 1.0f);
     near.share *= (float4)(0.5625f, 0.1875f, 0.1875f, 0.0625f);
     near.sum = near.share.x + near.share.y + near.share.z + near.share.w;

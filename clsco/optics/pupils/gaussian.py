@@ -15,7 +15,7 @@ from clsco.optics.pupils.pupil import Array, Pupil
 
 @dataclass(frozen=True)
 class Gaussian(Pupil):
-    """Gaussian of standard deviation `sigma` lens radii, cut off at `cut` sigma along axes or, if `round`, around."""
+    """Gaussian of standard deviation `sigma` lens radii, cut at `cut` sigma along axes or, if `round`, in a circle."""
 
     sigma: float
     cut: float
