@@ -177,7 +177,7 @@ def markdown(report: Mapping[str, Any]) -> str:
         "# Blurred edges of near things before far ones",
         "",
         f"PSNR in dB (peak 1.0) against the ray-traced thin lens, {report['size']} x {report['size']} px: whole",
-        f"frame / within {EDGE_PX} px of an occlusion edge. The noise is that of each of two pictures, and not in errors.",
+        f"frame / within {EDGE_PX} px of an occlusion edge. Errors have no share of the noise.",
         "Cost: all passes of a frame without ground truth, in seconds for `none`, for the others relative to it. The",
         "scenes are `examples/occlusion_*.toml`; `alone` is",
         f"`examples/sphere.toml`, where nothing overlaps. Device: {report['device']}.",
