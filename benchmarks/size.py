@@ -18,7 +18,7 @@ from rich.table import Table
 ROOT = Path(__file__).parents[1]
 BUDGET = {
     "lines of clsco/*.py": 44_000,
-    "lines of kernels": 9_270,
+    "lines of kernels": 9_310,
     "lines of tests": 43_130,
     "words of documentation": 25_000,
     "wheel, kB": 2_230,

@@ -6,7 +6,7 @@ A constant that only kernels use is a `#define` there; a value that differs from
 
 from __future__ import annotations
 
-# Indices of a frame's statistics, which are ints (kernels/common/geometry.clh, kernels/trace/trace.cl). The largest and
+# Indices of a frame's statistics, which are ints (kernels/common/geometry.clh, kernels/trace). The largest and
 # the smallest |R| are stored as the bits of a float; the slots are those of sub-pixel sources used at a time sample.
 STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.stability import oracle
 from benchmarks.stability.doubledouble import Wide, wide
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at, rest_center
@@ -24,7 +24,7 @@ from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.blur import PIXELS
 from clsco.passes.pack import grid_struct, group_struct, lens_struct, surface_structs
 from clsco.plan.buffers import STATISTICS
-from clsco.records import REAL, Real, Struct, structs
+from clsco.records import REAL, Real, Struct
 from clsco.scene.model import Camera, Cone, Cylinder, Ellipsoid, Object, ObjectMotion, Plane, Psf, Quadric, Sphere
 from clsco.scene.quantities import Vector
 
@@ -72,13 +72,13 @@ class RayTarget:
 
 
 class Caster:
-    """Casts windows of rays of up to `side` by kernels of kernels/trace/trace.cl, in one precision."""
+    """Casts windows of rays of up to `side` by kernels of kernels/trace, in one precision."""
 
     def __init__(
         self, session: Session, real: Real, side: int = SIDE, features: Mapping[str, int] = FEATURES
     ) -> None:  # fmt: skip
         self.session, self.real = session, real
-        self.program = build(session, ["trace/trace.cl"], features, structs(real), real)
+        self.program = Target(session, ["trace/cast.cl"], features, real)
         self.texture, area = upload(session, np.ones((1, 1), np.float32)), side * side
         self.value, self.wide, self.class_ = (empty(session, size * area) for size in (4, REAL[real].itemsize, 1))
         self.statistics = empty(session, 4 * STATISTICS)
@@ -104,7 +104,7 @@ class Caster:
         values: tuple[Any, ...] = self.texture, self.value, self.wide
         args = (grid, *lens, surfaces, group_struct(OcclusionGroup(1, 0), 1), *values)
         last = (self.class_, *((self.statistics,) if name == "pinhole" else ()))
-        launch(self.session, kernel(self.program, name), (window.side,) * 2, PIXELS, *args, *last)
+        launch(self.session, self.program[name], (window.side,) * 2, PIXELS, *args, *last)
         self.session.queue.finish()
 
     def _found(self, side: int) -> tuple[NDArray[np.bool_], Array]:

@@ -21,9 +21,9 @@ from clsco.constants import DOT_SEGMENT
 from clsco.inpainting.hole_shapes import FINER_GAIN, FIRST_GAIN, MOST_STEPS, TOLERANCE, spline_holes
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Program, Session
-from clsco.records import Real, structs
+from clsco.opencl.program import Target, launch
+from clsco.opencl.session import Session
+from clsco.records import Real
 
 LOCAL = (64,)
 CHECK_EVERY = 10  # number of steps between two tests of the residual, as a test waits for the device
@@ -39,10 +39,10 @@ def fill_biharmonic(
     """
     real: Real = "double" if session.device.has_fp64 else "float"
     features = {"CHANNELS": image.shape[2]}
-    program = build(session, ["inpainting/biharmonic.cl"], features, structs(real), real)
+    target = Target(session, ["inpainting/biharmonic.cl"], features, real)
 
     def fill(part: NDArray[np.float32], holes: NDArray[np.bool_]) -> NDArray[np.float32]:
-        part[holes] = _Solver(session, program, real, part.shape[2], holes).solve(part)
+        part[holes] = _Solver(session, target, real, part.shape[2], holes).solve(part)
         return part
 
     return fill_in_tiles(image, missing, fill, progress)
@@ -66,10 +66,8 @@ class _Level:
 class _Solver:
     """Conjugate gradient solver for the holes of one image; owns the buffers on the device."""
 
-    def __init__(
-        self, session: Session, program: Program, real: Real, channels: int, missing: NDArray[np.bool_]
-    ) -> None:
-        self.session, self.program, self.channels = session, program, channels
+    def __init__(self, session: Session, target: Target, real: Real, channels: int, missing: NDArray[np.bool_]) -> None:
+        self.session, self.target, self.channels = session, target, channels
         self.real = np.float64 if real == "double" else np.float32
         holes = [missing]
         while (coarse := spline_holes(holes[-1])).any() and coarse.size < holes[-1].size:
@@ -131,7 +129,7 @@ class _Solver:
         return download(self.session, self.sums, (3, self.channels), self.real)[slot]
 
     def _launch(self, name: str, size: int | np.int32, *args: Any) -> None:
-        launch(self.session, kernel(self.program, name), (int(size),), LOCAL, *args)
+        launch(self.session, self.target[name], (int(size),), LOCAL, *args)
 
     def _level(self, inside: NDArray[np.bool_]) -> _Level:
         at = np.flatnonzero(inside).astype(np.int32)

@@ -23,9 +23,8 @@ from clsco.inpainting.fse_tables import FEWEST_WAVES, GUESS, MOST_WAVES, STEP, T
 from clsco.inpainting.hole_shapes import block_turns, doubled, halved
 from clsco.inpainting.tiles import Progress, fill_in_tiles, no_progress
 from clsco.opencl.buffers import copied, download, empty, upload
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Program, Session
-from clsco.records import structs
+from clsco.opencl.program import Target, launch
+from clsco.opencl.session import Session
 
 LOCAL = (1,)  # local size; a work-item takes long, and has large arrays
 
@@ -42,15 +41,15 @@ def fill_texture(
     if no pixel is known, and DeviceError.
     """
     features = {"CHANNELS": image.shape[2]}
-    program = build(session, ["inpainting/fse.cl"], features, structs("float"), "float")
+    target = Target(session, ["inpainting/fse.cl"], features, "float")
     constants = [upload(session, table) for table in tables()]
-    result = fill_in_tiles(image, missing, partial(_fill, session, program, constants), progress)
+    result = fill_in_tiles(image, missing, partial(_fill, session, target, constants), progress)
     session.queue.finish()
     return result
 
 
 def _fill(
-    session: Session, program: Program, constants: list[cl.Buffer], image: NDArray[np.float32],
+    session: Session, target: Target, constants: list[cl.Buffer], image: NDArray[np.float32],
     missing: NDArray[np.bool_],
 ) -> NDArray[np.float32]:  # fmt: skip
     if not missing.any():
@@ -59,7 +58,7 @@ def _fill(
     start = np.where(missing[..., None], np.float32(0), image)
     weights = np.where(missing, np.float32(0), np.float32(1))
     if turns.max() > 1:  # a block has no known pixel
-        start[missing] = doubled(_fill(session, program, constants, *halved(start, missing)), missing)
+        start[missing] = doubled(_fill(session, target, constants, *halved(start, missing)), missing)
         weights[missing] = GUESS
     value, weight = (copied(session, array) for array in (start, weights))
     size = (np.int32(missing.shape[0]), np.int32(missing.shape[1]))
@@ -74,8 +73,8 @@ def _fill(
             continue
         listed, filled = upload(session, blocks[first:end]), empty(session, 4 * FSE_BLOCK**2 * image.shape[2] * count)
         todo: tuple[Any, ...] = (*size, value, weight, *constants, listed, np.int32(count), *settings, filled)
-        launch(session, kernel(program, "extrapolate_blocks"), (count,), LOCAL, *todo)
+        launch(session, target["extrapolate_blocks"], (count,), LOCAL, *todo)
         settled = (*size, filled, listed, np.int32(count), np.float32(TRUST), value, weight)
-        launch(session, kernel(program, "settle_blocks"), (count,), LOCAL, *settled)
+        launch(session, target["settle_blocks"], (count,), LOCAL, *settled)
         held += [listed, filled]
     return download(session, value, image.shape, np.float32)

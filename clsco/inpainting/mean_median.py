@@ -29,9 +29,9 @@ from clsco.inpainting.rules import (
     score_scale,
 )
 from clsco.opencl.buffers import copied, download, download_into, empty, upload
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Program, Session
-from clsco.records import Struct, filled, structs
+from clsco.opencl.program import Target, launch
+from clsco.opencl.session import Session
+from clsco.records import Struct, filled
 
 Mask = NDArray[np.bool_]
 Floats = NDArray[np.float32]
@@ -91,7 +91,7 @@ def fill_mean_median(
     not all True; span: range of the values; progress: called with the fraction done, from 0 to 1. Takes 100 to 200
     bytes per missing pixel and per known pixel beside it, and up to 8 per pixel of the image. Raises DeviceError.
     """
-    program = _program(session, image.shape[2], image.dtype == np.uint8)
+    target = _target(session, image.shape[2], image.dtype == np.uint8)
     layout = Layout(missing)
     stages = Stages(layout.pixels, layout.border)
     stages.gradients, stages.blended = np.empty(0), np.empty((layout.border.size, image.shape[2]), np.float32)
@@ -109,9 +109,9 @@ def fill_mean_median(
     wins = np.int32(bits_of(Score((0,) * 9, (0,) * 9, 0, 1.0).median_wins(constants.estimator)))
     if constants.estimator == "scored":
         with stage("score") as reported:
-            stages.score = score_image(session, program, image, missing, score_scale(span), reported)
+            stages.score = score_image(session, target, image, missing, score_scale(span), reported)
         wins = np.int32(bits_of(stages.score.median_wins()))
-    holes = Holes(session, program, layout, image)
+    holes = Holes(session, target, layout, image)
     with stage("fill") as reported:
         stages.sweeps = holes.fill(wins, constants.minimum, most_sweeps(*missing.shape), reported)
         stages.filled = holes.values()
@@ -121,16 +121,16 @@ def fill_mean_median(
     del holes
     if layout.border.size and constants.border_share:
         with stage("blend") as reported:
-            blend_border(session, program, image, missing, stages, reported)
+            blend_border(session, target, image, missing, stages, reported)
         stages.histogram = border_histogram(stages.gradients, span / 255, constants.border_share)
     return stages
 
 
 @lru_cache(maxsize=8)  # reading the files would take a tenth of the time for a small image
-def _program(session: Session, channels: int, codes: bool) -> Program:
+def _target(session: Session, channels: int, codes: bool) -> Target:
     features = {"CHANNELS": channels, "CODES": codes, "ALONE": group_size(session) == 1}
     features |= {"FILL_MEAN_MEDIAN": True, "IMAGE": True}
-    return build(session, KERNELS, features, structs("float"), "float")
+    return Target(session, KERNELS, features, "float")
 
 
 def group_size(session: Session) -> int:
@@ -227,7 +227,7 @@ def bands(image: NDArray[Any], missing: Mask, wanted: Mask, dtype: DTypeLike) ->
 
 
 def score_image(
-    session: Session, program: Program, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
+    session: Session, target: Target, image: NDArray[Any], missing: Mask, scale: float, progress: Progress
 ) -> Score:
     """Stage 0: score mean and median; scale: from `score_scale`; other arguments as for `fill_mean_median`."""
     rows, columns, _ = image.shape
@@ -236,7 +236,7 @@ def score_image(
         valid = np.concatenate([~band.missing.ravel(), np.zeros(CODE_LANES, np.bool_)])
         grid, count = _grid(band.count, columns), band.count * segments
         sums, buffers = empty(session, 8 * SCORE_SUMS * count), (upload(session, band.value), upload(session, valid))
-        launch(session, kernel(program, "score_mean_median"), (count,), OWNERS, grid, np.float32(scale), *buffers, sums)
+        launch(session, target["score_mean_median"], (count,), OWNERS, grid, np.float32(scale), *buffers, sums)
         found.append(download(session, sums, (count, SCORE_SUMS), np.int64).sum(axis=0, keepdims=True))
         progress(band.bottom / rows)
     return score_of_sums(np.concatenate(found), scale)
@@ -245,8 +245,8 @@ def score_image(
 class Holes:
     """Fills the holes of an image; owns the buffers on the device, laid out as in mean_median.cl."""
 
-    def __init__(self, session: Session, program: Program, layout: Layout, image: NDArray[Any]) -> None:
-        self.session, self.program, self.channels = session, program, image.shape[2]
+    def __init__(self, session: Session, target: Target, layout: Layout, image: NDArray[Any]) -> None:
+        self.session, self.target, self.channels = session, target, image.shape[2]
         self.at, self.index = layout.at, layout.at.astype(np.int64)  # NumPy is faster with its index type
         self.slots, self.missing = np.int32(layout.slots + FILL_LANES), np.int32(layout.at.size)
         self.level = layout.near()
@@ -346,7 +346,7 @@ class Holes:
         return np.stack([plane.take(self.index) for plane in planes], axis=1)
 
     def _launch(self, name: str, size: int, local: tuple[int, ...], *args: Any) -> None:
-        launch(self.session, kernel(self.program, name), (size,), local, *args)
+        launch(self.session, self.target[name], (size,), local, *args)
 
 
 def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
@@ -367,7 +367,7 @@ def parts(at: NDArray[np.int32], alone: Mask) -> tuple[NDArray[np.int32], NDArra
 
 
 def blend_border(
-    session: Session, program: Program, image: NDArray[Any], missing: Mask, stages: Stages, progress: Progress
+    session: Session, target: Target, image: NDArray[Any], missing: Mask, stages: Stages, progress: Progress
 ) -> None:
     """Stage 3: write gradients and medians of all border pixels to `stages`; a threshold later selects from them."""
     (rows, columns, channels), border = image.shape, stages.border
@@ -382,7 +382,7 @@ def blend_border(
         count, grid = entries.size, _grid(band.count, columns)
         steepness, blended = empty(session, 4 * count), empty(session, 4 * count * channels)
         args = (upload(session, entries), np.int32(count), upload(session, band.value), steepness, blended)
-        launch(session, kernel(program, "blend_border"), (-(-count // FILL_LANES),), VECTORS, grid, *args)
+        launch(session, target["blend_border"], (-(-count // FILL_LANES),), VECTORS, grid, *args)
         stages.gradients[some] = np.sqrt(download(session, steepness, (count,), np.float32).astype(np.float64))
         download_into(session, blended, stages.blended[some])
         progress(band.bottom / rows)

@@ -7,8 +7,9 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from math import prod
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,7 +22,7 @@ from clsco.opencl import pace, source_text
 from clsco.opencl.device import failure
 from clsco.opencl.features import FEATURES
 from clsco.opencl.self_test import require_right_arguments
-from clsco.opencl.session import Program, Session
+from clsco.opencl.session import Kernels, Session
 from clsco.opencl.source_text import Structs, without_output
 from clsco.records import Real, structs
 from clsco.resources import folder
@@ -36,11 +37,11 @@ BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu
 
 
 def build(
-    session: Session, sources: Sequence[str], features: Mapping[str, int | bool], structs: Structs, real: Real
-) -> Program:
-    """Build kernel files with all that they include; equal requests share a program, even if files have changed since.
+    session: Session, source: str, features: Mapping[str, int | bool], structs: Structs, real: Real
+) -> Kernels:  # fmt: skip
+    """Build a kernel file with all that it includes; equal requests share kernels, even if files have changed since.
 
-    sources: names of files in kernels/, such as "trace/trace.cl". features: small integers or bools by names from
+    source: name of a file in kernels/, such as "trace/cast.cl". features: small integers or bools by names from
     `clsco.opencl.features.FEATURES`, by default 0; not for values that often change, as a new value needs a
     compilation. structs: NumPy dtypes by C names, as for `struct_text`; a struct follows the structs that it contains.
     real: element type of `real` and of `real2` to `real16`.
@@ -51,25 +52,25 @@ def build(
     Raises KernelError with the compiler's log. Raises DeviceError if `real` is "double" and the device lacks it, or if
     a driver other than PoCL fails `require_right_arguments` at the first program of a session.
     """
-    request = folder("kernels"), tuple(sources), tuple(features.items()), tuple(structs.items()), real
+    request = folder("kernels"), source, tuple(features.items()), tuple(structs.items()), real
     with session.lock:
         if not session.programs and not session.device.is_pocl:
             require_right_arguments(session)
         if request not in session.requests:
             macros = dict.fromkeys(FEATURES, 0) | {name: int(value) for name, value in features.items()}
-            session.requests[request] = _program(session, sources, macros, structs, real)
+            session.requests[request] = _built(session, source, macros, structs, real)
         return session.requests[request]
 
 
-def _program(session: Session, sources: Sequence[str], macros: dict[str, int], structs: Structs, real: Real) -> Program:
+def _built(session: Session, source: str, macros: dict[str, int], structs: Structs, real: Real) -> Kernels:
     """`build` without the cache of requests; requests that lead to the same text still share a program."""
     device = session.device
     if real == "double" and not device.has_fp64:
         raise DeviceError(f"precision: double needs a device with fp64, use single; got {device}")
-    files = [*[POCL_DECLARATIONS] * device.is_pocl * (device.kind == "cpu"), BUILTINS, *sources]
+    files = [*[POCL_DECLARATIONS] * device.is_pocl * (device.kind == "cpu"), BUILTINS, source]
     facts = device.has_fp64, device.has_int64_atomics, macros | definitions(), device.kind == "cpu"
     text = source_text.program_text(files, structs, real, *facts)
-    words = set(re.findall("[A-Z][A-Z_]+", text))
+    words = set(re.findall("[A-Z][A-Z_]+", re.sub("//.*", "", text)))
     values = definitions() | {name: macros[name] for name in sorted(macros.keys() & words)}
     options = [f"-D{name}={value}" for name, value in values.items()]
     options.append("-cl-std=CL1.2")
@@ -80,17 +81,10 @@ def _program(session: Session, sources: Sequence[str], macros: dict[str, int], s
         options.append("-cl-fp32-correctly-rounded-divide-sqrt")
     key = text, *options
     if key not in session.programs:
-        session.doing(f"compiling {', '.join(sources)}")
+        session.doing(f"compiling {source}")
         with session.compiling():
-            session.programs[key] = _compile_for_device(session, ", ".join(sources), text, options)
+            session.programs[key] = _compile_for_device(session, source, text, options)
     return session.programs[key]
-
-
-def kernel(program: Program, name: str) -> cl.Kernel:
-    """The kernel `name` of a built program. Raises KernelError if there is none."""
-    if name not in program:
-        raise KernelError(f"kernel: must be one of {', '.join(sorted(program))}; got {name}")
-    return program[name]
 
 
 def launch(
@@ -154,36 +148,50 @@ def launch_whole(
         raise failure(session.device, f"run {kernel.function_name}", error) from error
 
 
-@dataclass(frozen=True)
 class Target:
-    """Requirements of a kernel launch: a session, the kernels of a program, and the precision of their geometry."""
+    """Kernels of some files in a session; each file is built when one of its kernels is first used.
 
-    session: Session
-    program: Program
-    real: Real
+    So a file that a scene does not need is not compiled, and scenes share what depends on none of their differences.
+    `target[name]` is the kernel `name`; it raises what `build` raises, and KernelError if no file has the kernel.
+    features: as for `build`; real: precision of the geometry.
+    """
 
-    @classmethod
-    def build(cls, session: Session, files: Sequence[str], features: Mapping[str, int | bool], real: Real) -> Target:
-        """A target with the kernels of `files`, see the function `build`."""
-        return cls(session, build(session, files, features, structs(real), real), real)
+    def __init__(
+        self, session: Session, files: Sequence[str], features: Mapping[str, int | bool], real: Real
+    ) -> None:  # fmt: skip
+        self.session, self.real = session, real
+        self._kernels: Kernels = {}
+        self._builds = {
+            name: partial(build, session, file, features, structs(real), real)
+            for file in files
+            for name in source_text.kernel_names(Path(str(folder("kernels"))), file)
+        }
+        session.offered.update((name, real, *features.items()) for name in self._builds)
+
+    def __getitem__(self, name: str) -> cl.Kernel:
+        if name not in self._kernels:
+            self._kernels |= self._builds[name]() if name in self._builds else {}
+        if name not in self._kernels:
+            raise KernelError(f"kernel: must be one of {', '.join(sorted(self._builds))}; got {name}")
+        return self._kernels[name]
 
     def run(
         self, name: str, size: tuple[int, ...], local: tuple[int, ...], events: Events, *args: Any, work: float = 1.0,
         origin: tuple[int, ...] = (),
     ) -> None:  # fmt: skip
         """Enqueue a kernel by `launch`; append pairs of its name and an event to `events`."""
-        for event in launch(self.session, kernel(self.program, name), size, local, *args, work=work, origin=origin):
+        for event in launch(self.session, self[name], size, local, *args, work=work, origin=origin):
             events.append((name, event))
 
 
-def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Program:
+def _compile_for_device(session: Session, where: str, text: str, options: list[str]) -> Kernels:
     if session.device.is_pocl and session.device.kind == "cpu":
         with suppress(KernelError):  # with another version of PoCL, or an undeclared function
             return _compile(session, where, text, [*options, WITHOUT_HEADER])
     return _compile(session, where, text, options)
 
 
-def _compile(session: Session, where: str, text: str, options: list[str]) -> Program:
+def _compile(session: Session, where: str, text: str, options: list[str]) -> Kernels:
     with without_output():
         try:
             began = time.perf_counter()

@@ -28,8 +28,8 @@ _TIMED = cl.command_queue_properties.PROFILING_ENABLE
 DeviceLike: TypeAlias = str | cl.Device | cl.Context | cl.CommandQueue | None
 """A user's argument `device`: a part of a name, "cpu", "gpu", an object of pyopencl, or None for the default."""
 
-Program: TypeAlias = dict[str, cl.Kernel]
-"""A built program: its kernels by name, because to look up a kernel in OpenCL takes 0.2 ms."""
+Kernels: TypeAlias = dict[str, cl.Kernel]
+"""Kernels of a built program by name, because to look up a kernel in OpenCL takes 0.2 ms."""
 
 
 @dataclass
@@ -64,9 +64,10 @@ class Session:
         # Progress for another thread to read. If it is set, the host is at most one time sample ahead of the device.
         self.progress: Progress | None = None
         # `programs`: by their text and the compiler's options. `requests`: by the arguments of `program.build`.
-        self.programs: dict[Hashable, Program] = {}
-        self.requests: dict[Hashable, Program] = {}
-        # Kernels and launch shapes that the driver has compiled.
+        self.programs: dict[Hashable, Kernels] = {}
+        self.requests: dict[Hashable, Kernels] = {}
+        # Names of kernels with their features, of which few are not used; kernels and launch shapes that are compiled.
+        self.offered: set[Hashable] = set()
         self.compiled: set[tuple[cl.Kernel, tuple[int, ...], bool, bool]] = set()
         self.pace = Pace()
         if device.is_pocl:
@@ -137,6 +138,7 @@ class Session:
             self.cache.clear()
             self.compiled.clear()
             self.pace.clear()
+            self.offered.clear()
             self.programs.clear()
             self.requests.clear()
 

@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -93,7 +95,7 @@ class _Preprocessor:
         if name in self.files_read:
             return ""
         self.files_read.add(name)
-        text, pieces, conditionals, end = _read(name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
+        text, pieces, conditionals, end = _read(folder("kernels"), name), [f'#line 1 "{name}"\n'], list[_Condition](), 0
         for line in _DIRECTIVE.finditer(text):
             active = all(conditional.active for conditional in conditionals)
             between = text[end : line.start()]
@@ -158,9 +160,15 @@ def _cpu_form(source: str) -> str:
     return variant if (folder("kernels") / variant).is_file() else source
 
 
-def _read(source: str) -> str:
+@cache
+def kernel_names(kernels: Path, source: str) -> tuple[str, ...]:
+    """Names of the kernels in a file of the folder `kernels`, whatever the features; KernelError for a missing file."""
+    return tuple(re.findall(r"^__kernel void (\w+)\(", _read(kernels, source), re.MULTILINE))
+
+
+def _read(kernels: Traversable, source: str) -> str:
     try:
-        return (folder("kernels") / source).read_text("utf-8")
+        return (kernels / source).read_text("utf-8")
     except FileNotFoundError as error:
         raise KernelError(f"kernels: must hold every file that is asked for; got no {source}") from error
 

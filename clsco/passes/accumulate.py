@@ -22,7 +22,7 @@ class FrameSum:
     """
 
     def __init__(self, session: Session, sizes: Sizes, by_columns: bool = False) -> None:
-        self.target = Target.build(session, ["blur/accumulate.cl"], {"SCAN_COLUMNS": by_columns}, "float")
+        self.target = Target(session, ["blur/accumulate.cl"], {"SCAN_COLUMNS": by_columns}, "float")
         self.local = (1, 1) if session.device.kind == "cpu" else BLOCKS  # PoCL compiles (1, 1) three times as fast
         self.sum, self.lost = (empty(session, sizes[name]) for name in ("sum", "lost"))
         self.begins = True

@@ -32,7 +32,7 @@ GROUP = (GROUP_COLUMNS, GROUP_ROWS)  # local size of `tiles`
 # With pillboxes, a pixel gets at most 2.6 + 2 ln R times the light of the brightest source; tilt at most doubles this.
 GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
-# Kernel files of each method in the program of `blur_target`; `convolve` builds its own program.
+# Kernel files of each method in `blur_target`; `convolve` has a target of its own.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
     "gather": ("blur/blur.cl", "blur/cpu/gather.cl"),
     "scatter": ("blur/blur.cl",),
@@ -72,10 +72,9 @@ def blur_features(spec: BlurSpec, channels: int, fp64: bool, maps: Maps) -> dict
 
 
 def blur_target(session: Session, spec: BlurSpec, channels: int, real: Real, maps: Maps = "wide") -> Target:
-    """Target of the blur, with a program built for `blur_features`; `convolve` builds its own program."""
-    files = FILES_OF[spec.method]
+    """Target of the blur with `blur_features`; it has no kernels for `convolve`, which has its own target."""
     features = blur_features(spec, channels, session.device.has_fp64, maps)
-    return Target.build(session, files, features, real) if files else Target(session, {}, real)
+    return Target(session, FILES_OF[spec.method], features, real)
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Sources:
-    """Sources of one time sample on the device, in the layout of trace.cl.
+    """Sources of one time sample on the device, in the layout of trace/cast.cl.
 
     source: planes of sources in frame and guard band (sources.clh), None for "convolve" and "none"; value: radiance of
     the sources; sub_source, sub_value: sub-pixel sources in slots for `capacity` pixels, and their radiance.

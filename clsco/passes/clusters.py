@@ -81,7 +81,7 @@ def layered_program(
     The kernels have a program of their own, because they depend on few features.
     """
     features = {"CHANNELS": channels - alpha, "ALPHA": int(alpha), "QUADRANTS": int(cells > 1)}
-    return Target.build(session, FILES, features, real)
+    return Target(session, FILES, features, real)
 
 
 class Clusters:

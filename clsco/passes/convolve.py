@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import floor, log2
 
 import numpy as np
@@ -28,15 +27,15 @@ Layout = tuple[cl.Buffer | None, int, int, int]  # buffer, offset of a plane, of
 
 
 class Convolve(BlurredPlane):
-    """The blur of sources that all have one radius, up to `spec.largest`; the target needs no program.
+    """The blur of sources that all have one radius, up to `spec.largest`; `target` needs no kernels.
 
     Validated against sums over rectangles (tests/kernels/test_convolve.py).
     """
 
     def __init__(self, target: Target, spec: BlurSpec, tallest: Grid, grid: Struct, sizes: Sizes) -> None:
         session, self.wide = target.session, spec.brightest > BRIGHTEST
-        own = Target.build(session, ["blur/convolve.cl"], {"WIDE_SUMS": self.wide}, "float")
-        super().__init__(replace(own, real=target.real), spec, tallest, grid, sizes)
+        super().__init__(target, spec, tallest, grid, sizes)
+        self.own = Target(session, ["blur/convolve.cl"], {"WIDE_SUMS": self.wide}, "float")
         self.across = empty(session, sizes["across"]) if "across" in sizes else None
         self.sums: cl.Buffer | None = None
         if "sums" in sizes:
@@ -79,8 +78,8 @@ class Convolve(BlurredPlane):
         scale = 2.0 ** floor(BITS - log2(stencil.area * max(self.spec.brightest, 1e-20)))
         shape, (value, start, *_) = tuple(map(np.int32, size)), source
         args = (*shape, value, np.int32(start), np.float32(scale), self.sums)
-        self.target.run("sum_across", (size[0],), (1,), events, *args)
-        self.target.run("sum_down", (-(-size[1] // CONVOLVED_COLUMNS),), (1,), events, *shape, self.sums)
+        self.own.run("sum_across", (size[0],), (1,), events, *args)
+        self.own.run("sum_down", (-(-size[1] // CONVOLVED_COLUMNS),), (1,), events, *shape, self.sums)
         return (1.0 if self.wide else 2.0**DROPPED_BITS) / scale
 
     def _convolve(
@@ -96,4 +95,4 @@ class Convolve(BlurredPlane):
             target[0], *map(np.int32, target[1:]),
         )  # fmt: skip
         tiles = (TILES_ABREAST, -(-size[0] // CONVOLVED_ROWS), -(-size[1] // (TILES_ABREAST * CONVOLVED_COLUMNS)))
-        self.target.run("convolve", tiles, (1, 1, 1), events, *args)
+        self.own.run("convolve", tiles, (1, 1, 1), events, *args)

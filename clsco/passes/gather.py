@@ -11,7 +11,7 @@ from clsco.constants import BAND, COLUMN_STEP, WIDE_LANES
 from clsco.frame.strips import Grid
 from clsco.opencl import pace
 from clsco.opencl.buffers import download_into, empty, filled_with, upload_cached
-from clsco.opencl.program import Events, Target, kernel, launch_whole
+from clsco.opencl.program import Events, Target, launch_whole
 from clsco.passes.blur import UNITS_PER_TAP, TableBlur
 from clsco.plan.buffers import MOST_IN_ONE_SUM, Sizes, bands_at_a_time
 from clsco.plan.methods import BlurSpec
@@ -51,7 +51,7 @@ class Gather(TableBlur):
         self.position = empty(session, sizes["position"])
 
     def spread(self, head: tuple[object, ...], tail: tuple[object, ...], events: Events) -> None:
-        session, run = self.target.session, kernel(self.target.program, "gather")
+        session, run = self.target.session, self.target["gather"]
         rows, width, height = (int(self.grid[name]) for name in ("rows", "width", "height"))
         walked = min(BAND + 2 * self.spec.reach, height)
         taps = self.bands * walked * width * (2 * self.spec.reach + 1) ** 2
@@ -71,7 +71,7 @@ class Gather(TableBlur):
 
     def _launch(self, before: tuple[Any, ...], steps: int, vectors: int, after: tuple[Any, ...]) -> cl.Event:
         budget = np.array((steps, vectors), INT2)[()]
-        run = kernel(self.target.program, "gather")
+        run = self.target["gather"]
         return launch_whole(self.target.session, run, (self.bands,), (1,), *before, budget, *after)
 
     def _in_pieces(self, before: tuple[Any, ...], after: tuple[Any, ...], bands: int) -> list[cl.Event]:

@@ -10,7 +10,6 @@ import pyopencl as cl
 
 from clsco.frame.strips import Grid
 from clsco.opencl.buffers import empty
-from clsco.opencl.program import Target
 from clsco.passes.blur import PIXELS, BehindRims, BlurredPlane, Image, Plane, Sources, blur_target, prepare_sources
 from clsco.passes.clusters import TILES, ZERO, Clusters, Layers, Sheet, size_of, tiles_of
 from clsco.passes.frame_blur import make_blur
@@ -51,11 +50,10 @@ class DepthLayers:
     def __init__(
         self, blur: BlurredPlane, clusters: Clusters, tallest: Grid, behind_rims: BehindRims | None = None
     ) -> None:  # fmt: skip
-        kernels, spec, planes = clusters.target, sheet_spec(blur.spec), clusters.colors + 2
-        session, real = kernels.session, kernels.real
-        target = blur_target(session, spec, planes, real)
+        self.target, self.spread, spec = clusters.target, clusters.spread, sheet_spec(blur.spec)
+        session, planes = self.target.session, clusters.colors + 2
+        target = blur_target(session, spec, planes, self.target.real)
         self.outer, self.inner = blur, make_blur(target, spec, replace(tallest, channels=planes), blur.grid)
-        self.target, self.spread = Target(session, target.program | kernels.program, real), clusters.spread
         sizes = layered_buffers(blur.spec, tallest, session.device)
         self.source, self.room, self.light = (empty(session, sizes[name]) for name in ("source", "room", "light"))
         self.behind_rims = behind_rims
@@ -93,11 +91,11 @@ class DepthLayers:
         cl.enqueue_fill_buffer(queue, self.room, ONE, 0, free)
         if behind:
             args = (job.grid, self.inner.struct, behind["lens"], self.inner.lens_cells, self.room)
-            self.target.run("open_share", self.outer.size, PIXELS, job.events, *args)
+            self.inner.target.run("open_share", self.outer.size, PIXELS, job.events, *args)
 
     def _sources(self, job: Job, blur: BlurredPlane, image: Image, behind: dict[str, Any]) -> Sources:
         rims = (behind["lens"], behind["depth"]) if behind else ()
-        prepare_sources(self.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
+        prepare_sources(self.inner.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
     def _keep(

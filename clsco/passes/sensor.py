@@ -49,7 +49,7 @@ class FrameSensor:
 
     def __init__(self, session: Session, sensor_model: SensorModel, sizes: Sizes) -> None:
         features = {"FIXED_PATTERN": sensor_model.has_pattern}
-        self.target = Target.build(session, ["sensor/sensor.cl"], features, "float")
+        self.target = Target(session, ["sensor/sensor.cl"], features, "float")
         self.planes = len(sensor_model.filters)
         self.code, self.saturated = (empty(session, sizes[name]) for name in ("code", "saturated"))
         self.struct = filled("sensor_t", "float", sensor_values(sensor_model))

@@ -29,12 +29,12 @@ from clsco.records import REAL, Struct
 SPARE_SLOTS = 1.25  # ratio of allocated to needed slots when slots are added, as the next time sample may need more
 ROUNDED = 1e-5  # relative margin of extents, far above the rounding errors of rays and depths in single precision
 # The kernels that cast rays.
-TRACE_FILES = ("trace/trace.cl", "trace/bend.cl", "trace/truth.cl")
-# Statistics at the beginning of a frame, before any radius or slot is recorded (trace.cl).
+TRACE_FILES = tuple(f"trace/{name}.cl" for name in ("cast", "aim", "silhouettes", "subpixels", "bend", "truth"))
+# Statistics at the beginning of a frame, before any radius or slot is recorded.
 EMPTY_STATISTICS = np.zeros(STATISTICS, np.int32)
 EMPTY_STATISTICS[STATISTIC_SMALLEST] = np.iinfo(np.int32).max
 
-HitPlanes = tuple[cl.Buffer, ...]  # planes of value, depth and label, see trace.cl
+HitPlanes = tuple[cl.Buffer, ...]  # planes of value, depth and label, see trace/cast.cl
 Cast = Callable[[HitPlanes], None]
 
 
@@ -248,7 +248,7 @@ class Tracer:
 
 def ray_target(plan: Plan, scene: PlacedScene) -> Target:
     """Target with the kernels that cast rays."""
-    return Target.build(scene.session, TRACE_FILES, plan.features(), scene.real)
+    return Target(scene.session, TRACE_FILES, plan.features(), scene.real)
 
 
 def everything(plan: Plan) -> Struct:

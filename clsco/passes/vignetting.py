@@ -30,7 +30,7 @@ class Vignetting:
     """
 
     def __init__(self, session: Session, kind: Kind, colors: int, pixels: int) -> None:
-        self.target = Target.build(session, ["blur/vignetting.cl"], {}, "float")
+        self.target = Target(session, ["blur/vignetting.cl"], {}, "float")
         self.kind, self.colors = kind, colors
         self._buffer = Refilled(session, 4 * pixels)  # kernels of the previous time sample may still read it
         self._filled: NDArray[np.float32] | None = None

@@ -69,7 +69,7 @@ class ForwardWarp:
         self.lens = lens_struct(Lens.of(reference_camera(plan.scene), plan.scene.lens, plan.only), real)
         self.owned = session.device.kind == "cpu" if owned is None else owned
         features = forward_features(plan, self.owned)
-        self.kernels = Target.build(session, KERNELS, features, real)
+        self.kernels = Target(session, KERNELS, features, real)
         self.filler = Filler(self.kernels, self.grid, self.lens, features, fill_sizes(plan.scene, plan.grid))
         # The filling, which starts when the pixels have been moved, uses the same buffers for its lists.
         self.target, self.winner = self.filler.planes.indices

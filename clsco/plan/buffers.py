@@ -317,8 +317,8 @@ def fill_sizes(scene: Scene, grid: Grid) -> Sizes:
 
 
 def trace_buffers(spec: BlurSpec, grid: Grid, mapped: bool, scene: Scene) -> Sizes:
-    """Buffers of trace.cl for an occlusion group at one time sample. They hold ray hits, sources, the lens's effect on
-    rays and, if there are several objects, their predicted extents. mapped: as for `hit_buffers`.
+    """Buffers of kernels/trace for an occlusion group at one time sample: ray hits, sources, the lens's effect on rays
+    and, if there are several objects, their predicted extents. mapped: as for `hit_buffers`.
     """
     objects, bends = len(scene.objects), bend_buffers(scene, grid.sources)
     sources = source_buffers(spec, grid) if spec.method in MANY_RADII else {}

@@ -340,9 +340,9 @@ class _RenderWorker:
             state = RenderProgress("starting the device", 0, 0, 0.0)
             if progress is not None:
                 state = RenderProgress(progress.doing, progress.done, progress.total, 0.0)
-                if progress.doing.startswith("compiling"):  # kernels of all programs, of which few are not needed
-                    compiled, programs = tuple(live.session.compiled), tuple(live.session.programs.values())
-                    state = replace(state, done=len({shape[0] for shape in compiled}), total=sum(map(len, programs)))
+                if progress.doing.startswith("compiling"):
+                    compiled = {shape[0] for shape in tuple(live.session.compiled)}
+                    state = replace(state, done=len(compiled), total=len(live.session.offered))
             if before != (current, state):
                 before, since = (current, state), now
             with suppress(OSError):

@@ -4,7 +4,7 @@
 // l = (x - x_s) / R_s; V: the share of the lens that no occluder hides (common/visibility.clh).
 // Twin: clsco/reference/blur/blur.py. Host: clsco/passes/blur.py.
 //
-//   source: common/sources.clh; value, sub_source, sub_value: trace/trace.cl
+//   source: common/sources.clh; value, sub_source, sub_value: trace/cast.cl, subpixels.cl
 //   intervals, coefficients: tables of weights, PsfTable of clsco/optics/psf_tables.py
 //   sums    fixed_t (CHANNELS, rows, columns), in and out: the irradiance of the frame, or a strip of it, in units of
 //           1 / scale
@@ -15,86 +15,9 @@
 // `gather` (cpu/gather.cl) on processors, `tiles` (tiles.cl) on GPUs, and `convolve` (convolve.cl) for frames of one
 // radius. renormalize and prepare_sources serve all of them.
 
-#include "common/geometry.clh"
-#include "common/sources.clh"
-#include "common/source_visibility.clh"
+#include "blur/pixel_sources.clh"
 
 #pragma OPENCL FP_CONTRACT ON
-
-#if !OCCLUDED
-typedef void visibility_t;  // nothing hides light
-#endif
-
-// A source in a pixel: the pixel itself, or a point in it. id: number of the pixel or of the point; light: radiance of
-// its first channel, `apart` floats before that of the next one.
-typedef struct {
-    float4 record;  // see sources.clh
-    spread_t spread;
-    int id, apart;
-    __global const float *light;
-} pixel_source_t;
-
-// Number of sources of a pixel with the record `own`.
-#if SUBPIXELS
-#define SOURCES_IN(own) (as_int((own).w) >= 0 ? SOURCES_OF(as_int((own).w)) : 1)
-#else
-#define SOURCES_IN(own) 1
-#endif
-
-// The n-th source of pixel `at` of the grid, which is in `row` and `column` of the frame. Its coordinate is negative if
-// there is none.
-INLINE pixel_source_t source_in(const psf_t psf, __global const float *value, __global const int2 *intervals,
-                                __global const float *coefficients, float4 own, int n, int plane, int at, int row,
-                                int column SUBPIXEL_ARGUMENTS OF_ELLIPSES) {
-    pixel_source_t source = {.record = own, .id = at, .apart = plane, .light = value + at};
-#if SUBPIXELS
-    if (as_int(own.w) >= 0) {
-        source.id = FIRST_SLOT(as_int(own.w)) * EACH + n;
-        source.record = sub_source[source.id];
-        source.light = sub_value + source.id;
-        source.apart = capacity * EACH;
-        if (source.record.x >= 0)
-            source.spread = subpixel_spread(psf, sub_intervals, sub_coefficients, source.record,
-                                            n PLACE_VALUES(row, column));
-    } else
-#endif
-    if (own.x >= 0)
-        source.spread = pixel_spread(psf, intervals, coefficients, own.x PLACE_VALUES(row, column));
-    if (source.record.x >= 0)
-        source.spread = SHAPED(source.spread, psf, source.record, at);
-    return source;
-}
-
-#if OCCLUDED
-// Occluders of a source in the pixel `at`, which has the record `own`; 0 if nothing hides its light. seen: room for
-// them, and for those of the pixel, which points share; looked: True if the latter are there.
-INLINE const visibility_t *occluders_of(const grid_t grid, const psf_t psf, float4 own, int at, int row, int column,
-                                        pixel_source_t *source, visibility_t *seen, bool *looked SUBPIXEL_ARGUMENTS
-                                        OCCLUSION_ARGUMENTS) {
-    const real source_row = row + source->spread.oy, source_column = column + source->spread.ox;
-    real w = depth[at], width = 1;
-#if SUBPIXELS
-    if (as_int(own.w) >= 0) {
-        w = sub_depth[source->id];
-        width = (real)1 / SUBPIXELS;
-    }
-#endif
-#if SHARED
-    if (as_int(source->record.w) == PARTLY_SHARED) {
-        if (!*looked)
-            pixel_visibility(grid, lens, surfaces, group, psf, lens_cells, row, column, depth[at], own, seen + 1);
-        *looked = true;
-        shared_visibility(grid, lens, psf, lens_cells, source_row, source_column, w, source->spread, seen + 1);
-        return seen + 1;
-    }
-#endif
-    if (!IS_PARTLY(as_int(source->record.w)))
-        return 0;
-    source_visibility(grid, lens, surfaces, group, psf, lens_cells RAY_VALUES, source_row, source_column, w,
-                      &source->spread, &source->record, width, seen);
-    return seen;
-}
-#endif
 
 #if SCATTER
 #if HAS_INT64_ATOMICS

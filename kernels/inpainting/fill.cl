@@ -81,16 +81,6 @@ static float far_bound(const grid_t grid, __global const uchar *valid, __global 
     return FAR_SLACK * found;
 }
 
-// True if a pixel is valid, and with FILL_FAR not nearer than a bound.
-static bool serves(__global const uchar *valid, __global const real *w, int at, float bound) {
-    return FILL_FAR ? valid[at] && (float)w[at] <= bound : valid[at];
-}
-
-// The bound of a missing pixel; minimum: 0 for none.
-static float bound_of(__global const float *far, int at, int minimum) {
-    return FILL_FAR && minimum > 0 ? far[at] : INFINITY;
-}
-
 // Lists a pixel as missing if the fill domain contains it.
 static void list_missing(const grid_t grid, __constant surface_t *surfaces, int count, __global const uchar *valid,
                          __global const real *w, int x, int y, __global float *far, __global uchar *status,

@@ -2,6 +2,7 @@
 // mean_median.cl does the same to images with a mask. Twin: clsco/reference/inpainting/fill_mean_median.py.
 
 #include "common/geometry.clh"
+#include "inpainting/estimate.clh"
 
 #if FILL_MEAN_MEDIAN
 // FILL_LANES pixels `at`, and the neighbors that they may be filled from: bit k of `bits` is neighbor k.

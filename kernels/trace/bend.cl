@@ -1,4 +1,4 @@
-// Stores the rays through all pixels of frame and apron, bent by a lens that is not thin, for the kernels of trace.cl:
+// Stores the rays through all pixels of frame and apron, bent by a lens that is not thin, for the other kernels:
 // once for all time samples in which the lens does not change. Twin: clsco/optics/distortion.py and lens.py. Host:
 // clsco/passes/bend.py.
 //

@@ -105,6 +105,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
             uv[2 * at + 1] = before_lens ? (float)(1 - down) : 0;
         }
     }
+#if TEXTURED
     if (sharp && is_mapped) {
         float mean[CHANNELS];
         surface_texture(texture, surface, maps + object, grid, ray, w, 1, mean);
@@ -115,6 +116,7 @@ __kernel void ground_truth(const grid_t grid, const lens_t lens, __constant surf
         const real2 there = texture_coordinates(surface, maps + object, grid, ray, w);
         uv[2 * at] = (float)there.x, uv[2 * at + 1] = (float)there.y;
     }
+#endif
     if (disparity || occluded) {
         const real3 other = moved_pixel(surface, grid, there + own, ray, w);
         if (disparity)

@@ -166,7 +166,7 @@ def test_signposts_lead_to_files_and_definitions() -> None:
     ("name", "text", "wrong"),
     [
         ("a.clh", "// Twin: clsco/truth/gone.py. Host:\n// clsco/passes/trace.py.\n", "clsco/truth/gone.py"),
-        ("a.clh", "// As in trace.cl and gone.cl.\n", "gone.cl"),
+        ("a.clh", "// As in aim.cl and gone.cl.\n", "gone.cl"),
         ("a.clh", "// see tilt_slope, see PsfGrid in clsco/optics/lens.py\n", "PsfGrid of clsco/optics/lens.py"),
         ("a.clh", "// see gone_slope\n", "gone_slope"),
         ("a.py", '"""Arguments as for `clsco.render`; `clsco.optics.lens.gone`."""', "clsco.optics.lens.gone"),

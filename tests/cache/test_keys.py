@@ -220,9 +220,9 @@ def test_textures_on_a_device_depend_on_each_of_them_and_on_their_channels(sessi
 def test_programs_depend_on_each_part_of_a_request(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(program, "_compile_for_device", lambda *_: {})
     point = np.dtype([("x", "f4"), ("y", "f4")], align=True)
-    base: tuple[Any, ...] = (("blur/accumulate.cl",), {"CHANNELS": 1}, {"point_t": point}, "float")
+    base: tuple[Any, ...] = ("blur/accumulate.cl", {"CHANNELS": 1}, {"point_t": point}, "float")
     others: dict[int, list[Any]] = {
-        0: [("inpainting/fill.cl",), ("blur/accumulate.cl", "inpainting/fill.cl")],
+        0: ["inpainting/fill.cl"],
         1: [{"CHANNELS": 2}, {"ALPHA": 1}, {"CHANNELS": 1, "TEXTURED": 1}, {"CHANNELS": 1, "OCCLUDED": 4}],
         2: [{}, {"place_t": point}, {"point_t": np.dtype([("x", "f4"), ("y", "f8")], align=True)}],
         3: ["double"] * session.device.has_fp64,
@@ -231,8 +231,8 @@ def test_programs_depend_on_each_part_of_a_request(session: Session, monkeypatch
                         for at, all_others in others.items() for other in all_others)]  # fmt: skip
     fresh = session.unwatched()
     fresh.programs, fresh.requests = {}, {}
-    for sources, features, structs, real in [*requests, base]:
-        program.build(fresh, sources, features, structs, real)
+    for source, features, structs, real in [*requests, base]:
+        program.build(fresh, source, features, structs, real)
     assert len(fresh.requests) == len(requests)
     assert len(fresh.programs) == len(requests) - 4  # of one text: nothing of the file depends on these features
 

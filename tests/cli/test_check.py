@@ -23,7 +23,7 @@ from tests.scenes import scene_file
 
 @pytest.fixture
 def ball(ball: Path) -> Path:
-    return scene_file(ball, ball.read_text() + 'texture = "#c08040"\n')
+    return scene_file(ball, ball.read_text() + 'texture = "#c0c0c0"\n')
 
 
 def test_differences() -> None:

@@ -227,7 +227,7 @@ def broken_maker(error: Exception, folder: Path, monkeypatch: pytest.MonkeyPatch
     ("error", "kind"),
     [
         (DeviceError("device: must go on; got CL_DEVICE_NOT_AVAILABLE"), "failed"),  # tried in a fresh process
-        (KernelError("trace.cl: must build"), "fatal"),
+        (KernelError("cast.cl: must build"), "fatal"),
         (MissingDependencyError("a.exr: needs OpenEXR"), "fatal"),
         (MemoryError(), "fatal"),
         (OSError(errno.ENOSPC, "No space left on device"), "fatal"),

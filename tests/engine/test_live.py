@@ -203,8 +203,7 @@ def test_threads_have_the_bits_of_one(live: Live) -> None:
 
 
 def test_warming_compiles_what_a_render_needs() -> None:
-    iris = {"shape": "polygon", "blades": 11}  # that no other test compiles
-    scene = scene_from(TABLES, BALL, aperture=iris)
+    scene = scene_from(TABLES, BALL)
     with Session(choose()) as session, Live(session.queue) as live:
         live.warm(scene).join()
         programs, compiled = len(live.session.programs), len(live.session.compiled)

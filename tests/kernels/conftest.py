@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from clsco.opencl import program as program_module
 from clsco.opencl import source_text
 from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import build, launch
 from clsco.opencl.session import Session
 from clsco.records import Real, structs
 from clsco.resources import folder
@@ -48,15 +48,15 @@ def run_source(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     Arrays are uploaded, and stay until the device is done; buffers and scalars are passed on.
     """
     copytree(str(folder("kernels")), tmp_path, dirs_exist_ok=True)
-    begin = '#include "common/geometry.clh"\n#include "common/visibility_test.clh"\n'
+    begin = '#include "common/visibility_test.clh"\n#include "common/sources.clh"\n#include "trace/texture.clh"\n'
     monkeypatch.setattr(program_module, "folder", lambda name: tmp_path)
     monkeypatch.setattr(source_text, "folder", lambda name: tmp_path)
 
     def run(text: str, name: str, real: Real, features: dict[str, int], count: int, *args: Any) -> None:
         (tmp_path / "tests.cl").write_text(begin + text, "utf-8")
-        program = build(session, ["tests.cl"], PLAIN | features, structs(real), real)
+        target = build(session, "tests.cl", PLAIN | features, structs(real), real)
         held = [upload(session, a) if isinstance(a, np.ndarray) and a.ndim else a for a in args]
-        launch(session, kernel(program, name), (count,), (64,), *held)
+        launch(session, target[name], (count,), (64,), *held)
         session.queue.finish()
 
     return run

@@ -15,8 +15,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import kernel, launch
-from clsco.opencl.session import Program, Session
+from clsco.opencl.program import Target, launch
+from clsco.opencl.session import Session
 from clsco.records import REAL, Real
 from clsco.resources import folder
 
@@ -49,10 +49,10 @@ class Amid:
 
 
 def run(
-    session: Session, program: Program, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any
+    session: Session, target: Target, name: str, size: tuple[int, ...], local: tuple[int, ...], /, **given: Any
 ) -> None:
     """Run a kernel to its end; given: as for `arguments`."""
-    found = kernel(program, name)
+    found = target[name]
     launch(session, found, size, local, *arguments(session, found, **given))
     session.queue.finish()
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsco.frame.strips import Grid
 from clsco.inputs.pupils import load_point_spread
 from clsco.opencl.buffers import copied, download, empty, upload
-from clsco.opencl.program import Target, build
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import PointSpread
 from clsco.optics.psf_tables import PsfTable
@@ -97,7 +97,7 @@ def light(
 
 
 def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel: bool) -> Array:
-    """Sources (..., 4) as trace.cl writes them, slots left out."""
+    """Sources (..., 4) as aim.cl writes them, slots left out."""
     table = shared_tables().table(given.spread, given.smallest, given.largest, given.samples if subpixel else 0)
     out = np.zeros((*radius.shape, 4), np.float32)
     coordinate = table_coordinate(given.spread, radius, subpixel, table.low, table.end - table.low, table.count)
@@ -107,7 +107,7 @@ def records(given: Light, radius: Array, gradient: Array, there: Array, subpixel
 
 
 def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
-    """The sources in the layout of trace.cl; values are written to by `renormalize`."""
+    """The sources in the layout of cast.cl; values are written to by `renormalize`."""
     sources, sub = given.sources, given.sub
     source = records(given, sources.radius, sources.gradient, sources.lit, False)
     source[..., 3].view(np.int32)[...] = -1
@@ -133,7 +133,7 @@ def on_device(session: Session, given: Light, weight: float) -> spread.Sources:
 def features(
     psf: Psf, channels: int, samples: int, largest: float = 0.0, aperture: Aperture | None = None
 ) -> dict[str, int]:
-    """All kernels in one program, so that few have to be compiled; test_programs_build.py builds them one by one."""
+    """All kernels in one target, so that few have to be compiled; test_programs_build.py builds them one by one."""
     spec = spec_of(psf, largest, aperture=aperture, subpixels=samples, border="lose")
     kernels = spread.blur_features(spec, channels, True, "wide")
     return kernels | dict.fromkeys(("GATHER", "SCATTER", "RENORMALIZE", "PREPARE"), 1)
@@ -145,9 +145,9 @@ def blur_of(session: Session, given: Light, method: Blur) -> BlurredPlane:
     chosen = features(given.psf, given.channels, given.samples, given.largest, given.aperture)
     if method == "tiles":  # in a file of its own
         chosen |= spread.blur_features(spec, given.channels, True, "none") | {"RENORMALIZE": 1}
-    program = build(session, spread.FILES_OF[method], chosen, STRUCTS, "double")
+    target = Target(session, spread.FILES_OF[method], chosen, "double")
     grid = Grid.whole(*given.shape, given.guard, given.channels)
-    return make_blur(Target(session, program, "double"), spec, grid, given.grid())
+    return make_blur(target, spec, grid, given.grid())
 
 
 def blurred(session: Session, given: Light, method: Blur, moments: int = 1) -> Array:
@@ -177,18 +177,18 @@ def renormalized(session: Session, given: Light, method: Blur) -> spread.Sources
     tables = dict(zip(names, (*owner.tables[0], *owner.tables[1]), strict=True))
     planes = {"grid": given.grid(), "psf": owner.struct, **vars(sources), **tables}
     del planes["bends"]  # of ellipses alone
-    run(session, owner.target.program, "renormalize", given.shape[::-1], PIXELS, **planes)
+    run(session, owner.target, "renormalize", given.shape[::-1], PIXELS, **planes)
     return sources
 
 
 def gather(session: Session, given: Light, items: int, kept: dict[str, int], **planes: Any) -> None:
     """Run as many work-items of `gather`; kept: features other than those of the blur."""
     chosen = features(given.psf, given.channels, 0, given.largest, given.aperture) | kept
-    program, table = build(session, FILES_OF["gather"], chosen, STRUCTS, "double"), given.table()
+    target, table = Target(session, FILES_OF["gather"], chosen, "double"), given.table()
     names = ("intervals", "coefficients", "taps", "outlines")
     planes |= {name: getattr(table, name) for name in names} | {"psf": psf_struct(given.spread, table, None, "double")}
     pad, pitch = margin(given.shape[1], given.guard, table.reach)
-    run(session, program, "gather", (items,), (1,), grid=given.grid(), pad=pad, pitch=pitch, **planes)
+    run(session, target, "gather", (items,), (1,), grid=given.grid(), pad=pad, pitch=pitch, **planes)
 
 
 class Signed(Amid):

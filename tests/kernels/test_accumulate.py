@@ -27,9 +27,9 @@ def test_the_frame_without_what_is_around_it_is_added(session: Session, local: t
     total *= 1 - begins
     given: dict[str, Any] = {"rows": 8, "columns": 17, "channels": 3}
     given |= {"begins": begins, "apart": 15 * 23, "start": 2 * 23 + 3, "pitch": 23}
-    program = FrameSum(session, sum_buffers(Grid.whole(8, 17, 0, 3))).target.program
+    target = FrameSum(session, sum_buffers(Grid.whole(8, 17, 0, 3))).target
     given |= {"plane": plane, "weights": weights, "top": 0, "height": 8, "sum": sums, "lost": lost}
-    run(session, program, "accumulate", (17, 8), local, **given)
+    run(session, target, "accumulate", (17, 8), local, **given)
     part = weights[:, None] * plane[:, 2:10, 3:20]
     np.testing.assert_array_equal(sums.now(), total + part)
     np.testing.assert_array_equal(lost.now(), ((total + part) - total) - part)

@@ -12,9 +12,8 @@ from clsco.constants import DOT_SEGMENT
 from clsco.inpainting import biharmonic
 from clsco.inpainting.biharmonic import fill_biharmonic
 from clsco.opencl.buffers import copied, download, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
-from clsco.records import structs
 from tests.kernels.launches import filled
 
 Array = NDArray[Any]
@@ -82,9 +81,9 @@ def test_products_are_added_in_whole_segments(session: Session, count: int) -> N
     a, b = np.random.default_rng(6).random((2, count, 3))
     expected = np.add.reduceat(a * b, np.arange(0, count, DOT_SEGMENT))
     partial = copied(session, np.full((len(expected) + 1, 3), 7.0))
-    program = build(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 3}, structs("double"), "double")
+    target = Target(session, ["inpainting/biharmonic.cl"], {"CHANNELS": 3}, "double")
     vectors = (upload(session, a), upload(session, b), np.int32(count), partial)
-    launch(session, kernel(program, "add_products"), (len(expected),), biharmonic.LOCAL, *vectors)
+    launch(session, target["add_products"], (len(expected),), biharmonic.LOCAL, *vectors)
     found = download(session, partial, (len(expected) + 1, 3), np.float64)
     assert np.allclose(found[:-1], expected, rtol=1e-13)
     assert (found[-1] == 7).all()

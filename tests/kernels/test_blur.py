@@ -10,7 +10,7 @@ import pytest
 
 from clsco.constants import BAND, ITEMS_BYTES, WIDE_LANES
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import Target, build, launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
@@ -19,7 +19,7 @@ from clsco.passes.blur import FILES_OF
 from clsco.passes.pack import psf_struct
 from clsco.plan.buffers import source_bytes
 from clsco.plan.methods import Blur
-from clsco.records import flat, structs
+from clsco.records import flat
 from clsco.reference.blur import blur as twin
 from clsco.scene.model import Psf
 from tests.kernels import sources as light_sources
@@ -249,10 +249,9 @@ def test_prepare_sources(session: Session, psf: Psf, tilt: bool) -> None:
     given = light(psf.model_copy(update={"tilt": tilt}), shape=(19, 23), guard=2)
     coc, valid = given.sources.radius, given.sources.lit
     table = psf_table(point_spread(psf), 0.0, given.largest)
-    program = build(session, FILES_OF["gather"], features(given.psf, 1, 0), structs("double"), "double")
+    target = Target(session, FILES_OF["gather"], features(given.psf, 1, 0), "double")
     struct, out = psf_struct(point_spread(psf), table, None, "double"), empty(session, source_bytes(coc.size, tilt))
     maps = (upload(session, coc), upload(session, valid.astype(np.uint8)))
-    target = Target(session, program, "double")
     spread.prepare_sources(target, given.grid(), struct, maps, out, [])
     found = download_sources(session, out, coc.shape, tilt, False)
     expected = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)

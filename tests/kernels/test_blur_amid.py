@@ -14,8 +14,8 @@ from clsco import reference
 from clsco.cli.check import compare
 from clsco.constants import BAND
 from clsco.opencl.buffers import download
-from clsco.opencl.program import build
-from clsco.opencl.session import Program, Session
+from clsco.opencl.program import Target
+from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
 from clsco.passes import blur as spread
@@ -23,7 +23,6 @@ from clsco.passes.blur import FILES_OF, PIXELS
 from clsco.passes.pack import psf_struct
 from clsco.plan import buffers
 from clsco.plan.buffers import by_columns, column_bytes, margin
-from clsco.records import structs
 from clsco.reference.blur import blur as twin
 from clsco.reference.blur.blur import tilt_factor
 from clsco.reference.common.geometry import tilt_slope
@@ -40,9 +39,9 @@ Array = NDArray[Any]
 LEFT_ALONE = 7.0
 
 
-def in_color(session: Session, psf: Psf) -> Program:
+def in_color(session: Session, psf: Psf) -> Target:
     """A program of several tests, also of such as have no sub-pixel sources or but one channel."""
-    return build(session, FILES_OF["gather"], features(psf, 3, 2, 4.0), structs("double"), "double")
+    return Target(session, FILES_OF["gather"], features(psf, 3, 2, 4.0), "double")
 
 
 @pytest.mark.parametrize(("columns", "items"), [(80, 8), (80, 10), (75, 10)])
@@ -54,14 +53,14 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
     coc = given.sources.radius + 1.0
     valid = RNG(48).random(coc.shape) < 0.98
     valid[-1, -8:] = True
-    program = in_color(session, psf)
+    target = in_color(session, psf)
     records = light_sources.records(given, coc, twin.prepare_sources(coc, valid), valid, False)
     expected = source_planes(records, tilt, True)
     expected[-1] = np.full(coc.shape, -1, np.int32).view(np.float32)
     out = Amid(session, np.full_like(expected, LEFT_ALONE), LEFT_ALONE)
     planes = {"grid": given.grid(), "psf": psf_struct(point_spread(psf), given.table(), None, "double"), "source": out}
     planes |= {"coc": Amid(session, coc, 9.0), "valid": Amid(session, valid.astype(np.uint8), 1)}
-    run(session, program, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
+    run(session, target, "prepare_sources", (items, coc.shape[0]), (items, 1), **planes)
     found = out.now()
     np.testing.assert_allclose(found[:-1, :, : 8 * items], expected[:-1, :, : 8 * items], rtol=2.5e-7)
     assert (found[-1].view(np.int32)[:, : 8 * items] == -1).all()
@@ -70,11 +69,11 @@ def test_prepare_sources_writes_those_of_its_work_items(session: Session, tilt: 
 
 def test_resolve_writes_the_frame_alone(session: Session) -> None:
     given = light(Psf(), shape=(5, 70), channels=3)
-    program = in_color(session, given.psf)
+    target = in_color(session, given.psf)
     sums = RNG(49).integers(0, 2**40, (3, 5, 70))
     total = Amid(session, np.full((3, 5, 88), LEFT_ALONE, np.float32), LEFT_ALONE)
     planes = {"scale": 2.0**40, "pitch": 88, "pad": 8, "sums": sums, "total": total}
-    run(session, program, "resolve", (70, 5), PIXELS, grid=given.grid(), **planes)
+    run(session, target, "resolve", (70, 5), PIXELS, grid=given.grid(), **planes)
     found = total.now()
     np.testing.assert_allclose(found[..., 8:78], sums / 2.0**40, rtol=2.0**-23)
     assert (found[..., :8] == LEFT_ALONE).all()

@@ -9,7 +9,7 @@ import pytest
 
 from clsco.constants import BAND
 from clsco.frame.strips import Grid
-from clsco.opencl.program import Target, build
+from clsco.opencl.program import Target
 from clsco.opencl.session import Session
 from clsco.optics.point_spread import point_spread
 from clsco.optics.psf_tables import psf_table
@@ -17,7 +17,6 @@ from clsco.passes.blur import FILES_OF
 from clsco.passes.frame_blur import make_blur
 from clsco.passes.pack import grid_struct
 from clsco.plan.methods import BlurSpec
-from clsco.records import structs
 from clsco.scene.model import Aperture, Psf
 from tests.kernels import sources as light_sources
 from tests.kernels.sources import RNG, ROUNDING, assert_close, blur_of, blurred, features, light, on_device
@@ -144,11 +143,11 @@ def test_a_device_without_doubles(session: Session, monkeypatch: pytest.MonkeyPa
     expected = blurred(session, given, "scatter")
     monkeypatch.setattr(session, "device", replace(session.device, has_fp64=False))
     chosen = features(given.psf, 1, 0, given.largest, given.aperture)
-    program = build(session, FILES_OF["gather"], chosen, structs("float"), "float")
+    target = Target(session, FILES_OF["gather"], chosen, "float")
     strip = grid_struct(*given.shape, given.guard, "float")
     spec = BlurSpec(given.spread, "gather", given.smallest, given.largest, tilt=tilt)
     grid = Grid.whole(*given.shape, given.guard, 1)
-    owner = make_blur(Target(session, program, "float"), spec, grid, strip)
+    owner = make_blur(target, spec, grid, strip)
     owner.clear()
     sources = on_device(session, given, 1.0)
     owner.add(sources, [])

@@ -53,7 +53,7 @@ class Convolver:
         spec = BlurSpec(point_spread(psf), "convolve", size, size, brightest=brightest)
         rows, columns, channels = light.shape
         grid = Grid.whole(rows - 2 * guard, columns - 2 * guard, guard, channels)
-        blur = make_blur(Target(session, {}, "double"), spec, grid, strip)
+        blur = make_blur(Target(session, (), {}, "double"), spec, grid, strip)
         assert isinstance(blur, Convolve)
         self.blur = blur
         self.session, self.radius, self.value = session, size, copied(session, flat(light, np.float32))

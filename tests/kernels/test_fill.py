@@ -14,7 +14,7 @@ from clsco.constants import FILL_LANES, SCORE_SUMS, SCORED_COLUMNS
 from clsco.frame.strips import Grid
 from clsco.inpainting.rules import score_of_sums
 from clsco.opencl.buffers import download, upload
-from clsco.opencl.program import Target, build, kernel, launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
 from clsco.optics.lens import Lens
 from clsco.optics.motion import pose_at
@@ -24,7 +24,7 @@ from clsco.passes.fill import Filler
 from clsco.passes.pack import camera_grid, lens_struct, surface_structs
 from clsco.passes.warp import KERNELS
 from clsco.plan.buffers import COUNTERS, fill_buffers
-from clsco.records import REAL, Real, flat, structs
+from clsco.records import REAL, Real, flat
 from clsco.reference.common.geometry import pixel_ray, solve_quadric
 from clsco.reference.inpainting.fill import Method, fill_objects, find_spans, mark_missing
 from clsco.reference.inpainting.fill_mean_median import smooth_median
@@ -60,9 +60,9 @@ class Planes:
         features = {"CHANNELS": self.channels, "QUADRATIC": 1, "DOMAIN_SURFACE": int(domain == "surface")}
         features |= {"SEVERAL": int(far), "FILL_FAR": int(far)}
         features |= {"FILL_AIT": int(method == "ait"), "FILL_MEAN_MEDIAN": int(method == "mean_median")}
-        self.program = build(session, KERNELS[1:], features, structs(real), real)
+        self.target = Target(session, KERNELS[1:], features, real)
         sizes = fill_buffers(Grid.whole(rows, columns, guard, self.channels), far, far, method == "mean_median")
-        self.filler = Filler(Target(session, self.program, real), *of_camera, features, sizes)
+        self.filler = Filler(self.target, *of_camera, features, sizes)
         self.write("value", flat(np.where(known[..., None], values, 0.0)[..., :-1], np.float32))
         self.write("w", np.where(known, values[..., -1], 0.0).astype(REAL[real]))
         self.write("valid", known.astype(np.uint8))
@@ -91,7 +91,7 @@ class Planes:
 
     def run(self, name: str, size: int, *args: Any, local: int = 8) -> None:
         head = [getattr(self.filler, each) for each in ("grid", "lens") if each in parameters(name)]
-        launch(self.session, kernel(self.program, name), (size,), (local,), *head, *args)
+        launch(self.session, self.target[name], (size,), (local,), *head, *args)
 
     def fill_ait(self, mask: Mask) -> None:
         f, (pixels, count) = self.filler.planes, self.listed(mask)

@@ -13,9 +13,8 @@ from clsco.constants import FSE_BEFORE, FSE_BLOCK, FSE_SIDE
 from clsco.inpainting.fse import fill_texture
 from clsco.inpainting.fse_tables import FEWEST_WAVES, MOST_WAVES, STEP, WAVES_PER_CONTRAST, tables
 from clsco.opencl.buffers import download, empty, upload
-from clsco.opencl.program import build, kernel, launch
+from clsco.opencl.program import Target, launch
 from clsco.opencl.session import Session
-from clsco.records import structs
 from clsco.reference.inpainting import fse as reference
 from tests.kernels.launches import filled
 
@@ -77,10 +76,10 @@ def test_of_equally_strong_waves_the_first(session: Session, first: tuple[int, i
     constants = (np.ones_like(value), preference, tables().cosines, tables().sines)
     arrays = [upload(session, array) for array in (value, value, *constants, np.full((1, 2), FSE_BEFORE, np.int32))]
     result = empty(session, 4 * FSE_BLOCK**2)
-    program = build(session, ["inpainting/fse.cl"], {"CHANNELS": 1, "SAMPLED": 0}, structs("float"), "float")
+    target = Target(session, ["inpainting/fse.cl"], {"CHANNELS": 1, "SAMPLED": 0}, "float")
     settings = (np.int32(1), np.float32(STEP), np.float32(0), np.int32(1), np.int32(1))  # one wave
     size = (np.int32(FSE_SIDE), np.int32(FSE_SIDE))
-    launch(session, kernel(program, "extrapolate_blocks"), (1,), (1,), *size, *arrays, *settings, result)
+    launch(session, target["extrapolate_blocks"], (1,), (1,), *size, *arrays, *settings, result)
     y, x = np.mgrid[FSE_BEFORE : FSE_BEFORE + FSE_BLOCK, FSE_BEFORE : FSE_BEFORE + FSE_BLOCK]
     wave = 2 * STEP * np.cos(2 * np.pi / FSE_SIDE * (first[0] * y + first[1] * x))
     assert np.abs(download(session, result, (FSE_BLOCK, FSE_BLOCK), np.float32) - wave).max() < 1e-6

@@ -17,10 +17,9 @@ from clsco.inpainting.mean_median import KERNELS, Holes, Layout, score_image
 from clsco.inpainting.rules import MeanMedian, bits_of, most_sweeps, score_of_sums
 from clsco.opencl import source_text
 from clsco.opencl.buffers import copied, download, upload
-from clsco.opencl.program import build, kernel, launch
-from clsco.opencl.session import Program, Session
+from clsco.opencl.program import Target, launch
+from clsco.opencl.session import Session
 from clsco.passes.pack import grid_struct
-from clsco.records import structs
 from clsco.reference.inpainting import mean_median as twin
 from clsco.reference.inpainting.fill_mean_median import fill_mean_median, smooth_median
 from clsco.reference.inpainting.score import score_mean_median
@@ -31,9 +30,9 @@ Mask = NDArray[np.bool_]
 NO_WINS, ALL_WIN, SOME_WIN = (np.arange(9) >= k for k in (9, 4, 6))
 
 
-def program(session: Session, channels: int, codes: bool = False) -> Program:
+def target(session: Session, channels: int, codes: bool = False) -> Target:
     features = {"CHANNELS": channels, "CODES": codes, "ALONE": mean_median.group_size(session) == 1}
-    return build(session, KERNELS, features | {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}, structs("float"), "float")
+    return Target(session, KERNELS, features | {"FILL_MEAN_MEDIAN": 1, "IMAGE": 1}, "float")
 
 
 class Sheet(Layout):
@@ -59,7 +58,7 @@ def check_sheet(
     a limit."""
     missing, inside = sheet_of(masks)
     image = np.random.default_rng(5).random((*missing.shape, channels)).astype(np.float32)
-    holes = Holes(session, program(session, channels), Sheet(missing, inside), image)
+    holes = Holes(session, target(session, channels), Sheet(missing, inside), image)
     sweeps = holes.fill(np.int32(bits_of(wins)), minimum, mean_median.NEVER, lambda share: None)
     values = np.where((inside & ~missing)[..., None], image, np.float32(0))
     expected, taken = plain_sweeps(values, inside & ~missing, missing, wins, minimum, masks.shape[0])
@@ -76,7 +75,7 @@ def check_sheet(
 def check_alone(session: Session, mask: Mask) -> int:
     """The same of one mask with the limit, and the sweeps that it has taken."""
     image = np.random.default_rng(5).random((*mask.shape, 1)).astype(np.float32)
-    holes, limit = Holes(session, program(session, 1), Layout(mask), image), most_sweeps(*mask.shape)
+    holes, limit = Holes(session, target(session, 1), Layout(mask), image), most_sweeps(*mask.shape)
     sweeps = holes.fill(np.int32(bits_of(SOME_WIN)), 4, limit, lambda share: None)
     values = np.where(mask[..., None], np.float32(0), image)
     expected, taken = twin.sweep_holes(values, ~mask, mask, SOME_WIN, 4)
@@ -193,13 +192,13 @@ def test_a_group_sweeps_what_is_left_of_a_list(session: Session, monkeypatch: py
     missing = np.zeros((18, 27), np.bool_)
     missing[1::3, 1::3] = True
     image = np.random.default_rng(43).random((18, 27, 1)).astype(np.float32)
-    built, size, begin = program(session, 1), np.int32(missing.sum()), 24
+    built, size, begin = target(session, 1), np.int32(missing.sum()), 24
     holes = Holes(session, built, Layout(missing), image)
     lists, state = holes._lists(np.minimum(holes.level, 4), 4)
     state[4, 0] = begin
     rest = (holes.beside, size, np.int32(4), holes.found, holes.value, holes.near, lists, copied(session, state))
     args = (holes.slots, size, np.int32(1), np.int32(bits_of(SOME_WIN)), *rest)
-    launch(session, kernel(built, "sweep_holes"), (8,), (8,), *args)
+    launch(session, built["sweep_holes"], (8,), (8,), *args)
     assert download(session, rest[-1], (5, 2), np.int32)[[0, 4]].tolist() == [[1, size - begin], [size, size]]
     known_values = np.where(missing[..., None], np.float32(0), image)
     expected, *_ = fill_mean_median(known_values, ~missing, missing, SOME_WIN, 4)
@@ -215,7 +214,7 @@ def test_a_lone_pixel_is_filled_by_one_launch_and_smoothed(session: Session, mon
     missing = np.zeros((5, 5), np.bool_)
     missing[2, 2] = True
     image = np.random.default_rng(31).random((5, 5, 1)).astype(np.float32)
-    holes, shares = Holes(session, program(session, 1), Layout(missing), image), list[float]()
+    holes, shares = Holes(session, target(session, 1), Layout(missing), image), list[float]()
 
     def tell(share: float) -> None:
         shares.append(share)
@@ -239,7 +238,7 @@ def test_the_border_is_its_twin(
     rng = np.random.default_rng(23)
     image, missing = rng.random((*shape, channels)).astype(np.float32), rng.random(shape) < 0.3
     missing[0, 0] = False
-    built, layout = program(session, channels), Layout(missing)
+    built, layout = target(session, channels), Layout(missing)
     stages = mean_median.Stages(layout.pixels, layout.border)
     stages.smoothed = rng.random((layout.pixels.size, channels)).astype(np.float32)
     whole: Array = image.copy()
@@ -259,7 +258,7 @@ def test_a_group_writes_its_own_border_pixels_only(session: Session, count: int)
     image: Array = np.random.default_rng(37).random((9, 10, 1)).astype(np.float32)
     entries, outputs = np.flatnonzero(border), [copied(session, np.full(90, -1, np.float32)) for _ in range(2)]
     given = upload(session, entries.astype(np.int32)), np.int32(count), upload(session, image)
-    blend, grid = kernel(program(session, 1), "blend_border"), grid_struct(9, 10, 0, "float")
+    blend, grid = target(session, 1)["blend_border"], grid_struct(9, 10, 0, "float")
     launch(session, blend, mean_median.VECTORS, mean_median.VECTORS, grid, *given, *outputs)
     for output, expected in zip(outputs, twin.blend_border(image, border.reshape(9, 10)), strict=True):
         found, own = download(session, output, (90,), np.float32), min(count, 8 * FILL_LANES)
@@ -283,7 +282,7 @@ def test_scores_of_codes_are_exact(session: Session, avx2: bool, monkeypatch: py
         grid_struct(rows, columns, 0, "float"),
     )
     buffers = *(upload(session, plane) for plane in planes), sums
-    score = kernel(program(session, 1, codes=True), "score_mean_median")
+    score = target(session, 1, codes=True)["score_mean_median"]
     launch(session, score, (rows,), mean_median.OWNERS, grid, np.float32(256), *buffers)
     found = download(session, sums, (rows + 1, SCORE_SUMS), np.int64)
     assert score_of_sums(found[:rows], 256.0) == score_mean_median(image.astype(np.float64), ~missing, 256.0)
@@ -308,10 +307,10 @@ def test_scores_of_images_are_exact(session: Session, dtype: Any, monkeypatch: p
             image[missing] = np.nan
         for values in (10**6, 100):
             monkeypatch.setattr(mean_median, "BAND_VALUES", values)
-            found = score_image(session, program(session, 3, codes), image, missing, scale, lambda share: None)
+            found = score_image(session, target(session, 3, codes), image, missing, scale, lambda share: None)
             assert found == expected
     with Session(lesser) as opened:
-        assert score_image(opened, program(opened, 3, codes), image, missing, scale, lambda share: None) == expected
+        assert score_image(opened, target(opened, 3, codes), image, missing, scale, lambda share: None) == expected
 
 
 @pytest.mark.parametrize("dtype", mostly_slow([np.uint8, np.float32], [np.uint8]))

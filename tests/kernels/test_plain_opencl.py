@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 
 from clsco.opencl import source_text
-from clsco.opencl.program import build
 from clsco.opencl.session import Session
 from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
-from clsco.records import Real, structs
-from tests.kernels.test_programs_build import ELSEWHERE, GATHER, PROGRAMS, SCATTER, TILES, defined_in, variants
+from clsco.records import Real
+from tests.kernels.test_programs_build import ELSEWHERE, GATHER, PROGRAMS, SCATTER, TILES, built, defined_in, variants
 
 ROOT = Path(__file__).resolve().parents[2]
 ON_GPU = {files: features for files, features in PROGRAMS.items() if files != GATHER}
@@ -44,9 +43,9 @@ def test_programs_of_gpus_are_plain(
 
     monkeypatch.setattr(source_text, "program_text", pedantic)
     with Session(replace(session.device, kind="gpu", **LESS if real == "float" else {})) as opened:
-        program = build(opened, files, variants(ON_GPU[files])[1], structs(real), real)
+        program = built(opened, files, variants(ON_GPU[files])[1], real)
     assert program.keys() >= defined_in(files) - ELSEWHERE.get(files, set())
-    (text,) = texts
+    text = "\n".join(texts)
     assert {found[0] for found in EXTENSIONS.finditer(text)} == set()
     # Of warnings that its compiler does not know, a GPU's driver counts one for each program on the terminal.
     assert "#pragma clang" not in re.sub(r"#ifdef __x86_64__\n.*\n#endif", "", text)

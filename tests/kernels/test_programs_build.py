@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import ChainMap
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from clsco.inpainting.mean_median import KERNELS as HOLES
 from clsco.opencl.features import FEATURES
 from clsco.opencl.program import BUILTINS, POCL_DECLARATIONS, build
-from clsco.opencl.session import Session
+from clsco.opencl.session import Kernels, Session
 from clsco.passes.blur import FILES_OF, blur_features
 from clsco.passes.trace import TRACE_FILES
 from clsco.passes.warp import KERNELS as FORWARD
@@ -39,7 +40,7 @@ BLUR |= {"OCCLUDED": (0, 4, 1, 63), "RIMS": (0, 2), "CUT_CHORDS": (0, 1, 2), "BO
 BLUR |= {"SHARED": ON_OR_OFF, "RAYS": ON_OR_OFF}
 GATHER, SCATTER, TILES = (FILES_OF[method] for method in ("gather", "scatter", "tiles"))
 LAYERED = ("layered/layered.cl", "layered/sheets.cl")
-# Files that are built together: feature -> value when off, when on, and others. Structure is all that is compiled in.
+# Files that are used together: feature -> value when off, when on, and others. Structure is all that is compiled in.
 PROGRAMS: dict[tuple[str, ...], dict[str, tuple[int, ...]]] = {
     TRACE_FILES: GEOMETRY
     | dict.fromkeys(("MOVED", "TILT", "OCCLUDED", "LIMITED", "GATHER"), ON_OR_OFF)
@@ -155,6 +156,11 @@ def test_every_feature_is_known() -> None:
     assert FEATURES.keys() ^ read == numbers  # in the code
 
 
+def built(session: Session, files: tuple[str, ...], features: dict[str, int], real: Real) -> Kernels:
+    """The kernels of files."""
+    return dict(ChainMap(*(build(session, file, features, structs(real), real) for file in files)))
+
+
 # Of kernels that programs with all features lack, programs of cards have one, and those that scatter the other.
 ELSEWHERE = {TILES: {"open_share"}}
 
@@ -169,7 +175,7 @@ def defined_in(files: tuple[str, ...]) -> set[str]:
 def test_with_all_features(session: Session, files: tuple[str, ...], capfd: pytest.CaptureFixture[str]) -> None:
     """Most of those that are off in one of these programs are so in many that other tests run."""
     real: Real = "double" if files in IN_DOUBLE else "float"
-    program = build(session, files, variants(PROGRAMS[files])[1], structs(real), real)
+    program = built(session, files, variants(PROGRAMS[files])[1], real)
     assert program.keys() == defined_in(files) - ELSEWHERE.get(files, set())
     assert capfd.readouterr() == ("", "")  # of no warning that the compiler counts
 
@@ -179,13 +185,12 @@ def test_with_all_features(session: Session, files: tuple[str, ...], capfd: pyte
 def test_with_none_and_with_all_features_but_one(session: Session, files: tuple[str, ...]) -> None:
     """In double precision: `real` is a type, and what a feature compiles does not depend on it."""
     none, _, *others = variants(PROGRAMS[files])
-    build(session, files, none, structs("double"), "double")
-    for features in others:
-        assert build(session, files, features, structs("double"), "double")
+    for features in (none, *others):
+        built(session, files, features, "double")
 
 
 def test_vectors_on_a_device_with_less(session: Session) -> None:
     """Files without vectors: test_plain_opencl.py."""
     lesser = replace(session.device, has_fp64=False, has_int64_atomics=False, correctly_rounded=False)
     with Session(lesser) as opened:
-        assert build(opened, GATHER, variants(PROGRAMS[GATHER])[1] | {"SPANS": 0}, structs("float"), "float")
+        built(opened, GATHER, variants(PROGRAMS[GATHER])[1] | {"SPANS": 0}, "float")

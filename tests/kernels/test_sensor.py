@@ -124,7 +124,7 @@ def test_nothing_is_written_around_the_codes(session: Session, local: tuple[int,
     given = {"rows": rows, "columns": columns, "top": 0, "padded": padded, "camera": np.uint32(4), "plane": plane}
     given |= {"apart": 9 * 30, "start": 2 * 30 + 3, "pitch": 30, "sensor": sensor.struct, "code": codes}
     given |= {"reciprocals": reciprocals_of_counts(), "saturated": full}
-    run(session, sensor.target.program, "sense", (1, rows, 3), local, **given)
+    run(session, sensor.target, "sense", (1, rows, 3), local, **given)
     wanted, _ = sense(known, np.moveaxis(plane[:, 2:7, 3:24], 0, -1), 4)
     np.testing.assert_array_equal(codes.now()[..., :columns], np.moveaxis(wanted, -1, 0))
     assert full.now().max() <= 1

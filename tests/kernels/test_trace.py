@@ -1,4 +1,4 @@
-"""trace.cl against its twin: sources, silhouettes, sub-pixel sources and ground truth, for every shape and feature."""
+"""kernels/trace against its twin: sources, silhouettes, sub-pixel sources and ground truth, for all shapes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from clsco.constants import STATISTIC_SLOTS
 from clsco.frame.outputs import OUTPUTS, RAY_OUTPUTS, STEREO_NAMES
 from clsco.frame.strips import Strip
 from clsco.opencl.buffers import copied, download, empty, upload
-from clsco.opencl.program import build
-from clsco.opencl.session import Program, Session
+from clsco.opencl.program import Target
+from clsco.opencl.session import Session
 from clsco.optics.exposure import middle_time
 from clsco.optics.lens import Lens, ray_step
 from clsco.optics.motion import Eye, Pose, poses_at, rest_poses
@@ -28,7 +28,7 @@ from clsco.passes.trace import EMPTY_STATISTICS, TRACE_FILES
 from clsco.plan.buffers import source_bytes
 from clsco.plan.methods import Choice
 from clsco.plan.plan import Plan
-from clsco.records import Real, flat, structs
+from clsco.records import Real, flat
 from clsco.reference.common.geometry import pixel_tilt, tilt_slope
 from clsco.reference.trace import trace as twin
 from clsco.reference.trace.truth import ground_truth
@@ -130,7 +130,7 @@ SOME += ["one pixel", "nothing in visibility", "three in a row"]
 
 @dataclass
 class Traced:
-    """Output of trace.cl: arrays as they lie on the device."""
+    """Output of kernels/trace: arrays as they lie on the device."""
 
     plan: Plan
     label: Array
@@ -165,9 +165,9 @@ def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye =
     return replace(plan, guard_px=GUARD, choices=chosen)
 
 
-def built(session: Session, plan: Plan, real: Real) -> Program:
-    """All kernels in one program, so that few have to be compiled."""
-    return build(session, TRACE_FILES, plan.features() | {"GATHER": 0}, structs(real), real)
+def built(session: Session, plan: Plan, real: Real) -> Target:
+    """All kernels in one target, so that few have to be compiled."""
+    return Target(session, TRACE_FILES, plan.features() | {"GATHER": 0}, real)
 
 
 def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:
@@ -216,13 +216,13 @@ def traced(
         "capacity": capacity,
         "statistics": copied(session, EMPTY_STATISTICS),
     }
-    program, grid = built(session, plan, real), (plan.width, plan.height)
-    run(session, program, "cast", grid, local, **given)
-    run(session, program, "aim", grid, local, **given)
+    target, grid = built(session, plan, real), (plan.width, plan.height)
+    run(session, target, "cast", grid, local, **given)
+    run(session, target, "aim", grid, local, **given)
     if each:
-        run(session, program, "mark_silhouettes", grid, local, **given)
+        run(session, target, "mark_silhouettes", grid, local, **given)
         for name in ("label_subpixels", "trace_subpixels"):
-            run(session, program, name, (capacity,), (local[0] * local[1],), **given)
+            run(session, target, name, (capacity,), (local[0] * local[1],), **given)
     found = Traced(
         plan,
         download(session, given["label"], shape, np.uint8) if each else np.zeros(shape, np.uint8),

@@ -1,4 +1,4 @@
-"""Single kernels of trace.cl: what they write, and that it is all; silhouettes by labels alone; what is hidden."""
+"""Single kernels of kernels/trace: what they write, and that it is all; silhouettes by labels alone; hidden light."""
 
 from __future__ import annotations
 
@@ -75,11 +75,11 @@ def test_what_is_cast_once_is_aimed_for_one_lens_after_the_other(
     session: Session, plan: Plan, occlusion: Literal["none", "visibility"]
 ) -> None:
     plan = planned(plan.scene.model_copy(update={"psf": plan.scene.psf.model_copy(update={"occlusion": occlusion})}), 3)
-    program, grid = built(session, plan, "double"), (plan.width, plan.height)
+    target, grid = built(session, plan, "double"), (plan.width, plan.height)
     area, group = plan.width * plan.height, plan.groups[-1]
     hits = {"value": 4 * plan.channels * area, "depth": 8 * area, "label": area}
     given, planes = pixel_arguments(session, plan, group), buffers(session, **hits)
-    run(session, program, "cast", grid, LOCAL, **given, **planes)
+    run(session, target, "cast", grid, LOCAL, **given, **planes)
     shape, exact = (plan.height, plan.width), twin.trace(view(plan, TIME), group, GUARD)
     labels = written(session, planes["label"], shape, np.uint8)
     np.testing.assert_array_equal(labels, exact.label & 127)
@@ -90,7 +90,7 @@ def test_what_is_cast_once_is_aimed_for_one_lens_after_the_other(
         size, statistics = source_bytes(area, plan.tilt, True), copied(session, EMPTY_STATISTICS)
         out = buffers(session, source=size)
         given["lens"] = lens_struct(lens, "double")
-        run(session, program, "aim", grid, LOCAL, **given, **planes, **out, statistics=statistics)
+        run(session, target, "aim", grid, LOCAL, **given, **planes, **out, statistics=statistics)
         label = written(session, planes["label"], shape, np.uint8)
         np.testing.assert_array_equal(label & 127, labels)
         source = written(session, out["source"], (size,), np.uint8)
@@ -110,8 +110,8 @@ def test_pinhole(session: Session, plan: Plan) -> None:
     area = plan.width * plan.height
     out = buffers(session, value=4 * plan.channels * area, coc=8 * area, valid=area)
     statistics = copied(session, EMPTY_STATISTICS)
-    program = built(session, plan, "double")
-    run(session, program, "pinhole", shape[::-1], LOCAL, statistics=statistics, **given, **out)
+    target = built(session, plan, "double")
+    run(session, target, "pinhole", shape[::-1], LOCAL, statistics=statistics, **given, **out)
     expected = twin.trace(view(plan, TIME), everything, GUARD)
     seen = expected.label > 0
     np.testing.assert_array_equal(written(session, out["valid"], shape, np.uint8), seen)
@@ -150,7 +150,7 @@ def test_ground_truth_of_a_strip_is_a_part_of_the_whole(session: Session, plan: 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (4, 4), (5, 9), (8, 6)])
 def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) -> None:
     """Borders, too: scenes have nothing but a guard band there."""
-    program = built(session, planned(*SCENES["sphere moved, 2 x 2"]), "double")
+    target = built(session, planned(*SCENES["sphere moved, 2 x 2"]), "double")
     grid, area = grid_struct(*shape, 0, "double"), shape[0] * shape[1]
     for odd in range(area):
         label = np.full(shape, 3, np.uint8)
@@ -158,7 +158,7 @@ def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) ->
         source, pixels = copied(session, np.full((4, area), -1.0, np.float32)), empty(session, 4 * area)
         statistics = copied(session, EMPTY_STATISTICS)
         given = {"grid": grid, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
-        run(session, program, "mark_silhouettes", shape[::-1], (64, 1), capacity=area, **given)
+        run(session, target, "mark_silhouettes", shape[::-1], (64, 1), capacity=area, **given)
         count = download(session, statistics, EMPTY_STATISTICS.shape, np.int32)[2]
         marked = twin.mark_silhouettes(label)
         assert sorted(download(session, pixels, (area,), np.int32)[:count]) == np.flatnonzero(marked).tolist()
@@ -166,7 +166,7 @@ def test_a_change_of_label_anywhere(session: Session, shape: tuple[int, int]) ->
 
 def test_no_pixel_beyond_the_grid(session: Session) -> None:
     """Work-groups reach beyond it, to labels that differ from all of its own."""
-    program = built(session, planned(*SCENES["sphere moved, 2 x 2"]), "double")
+    target = built(session, planned(*SCENES["sphere moved, 2 x 2"]), "double")
     rows, columns, spare = 8, 17, 64
     grid, area = grid_struct(rows, columns, 0, "double"), rows * columns
     label = np.full(area + spare, 3, np.uint8)
@@ -175,7 +175,7 @@ def test_no_pixel_beyond_the_grid(session: Session) -> None:
     pixels = copied(session, np.full(area + spare, -1, np.int32))
     source = copied(session, np.full(4 * (area + spare), -1.0, np.float32))
     given = {"grid": grid, "label": label, "source": source, "pixels": pixels, "statistics": statistics}
-    run(session, program, "mark_silhouettes", (columns, rows), (7, 5), capacity=area + spare, **given)
+    run(session, target, "mark_silhouettes", (columns, rows), (7, 5), capacity=area + spare, **given)
     assert download(session, statistics, EMPTY_STATISTICS.shape, np.int32).tolist() == EMPTY_STATISTICS.tolist()
     assert (download(session, pixels, (area + spare,), np.int32) == -1).all()
 

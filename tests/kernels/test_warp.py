@@ -42,10 +42,10 @@ class Kernels:
         self.session, self.case, self.owned, self.several = session, case, owned, bool(features["SEVERAL"])
         self.far = bool(features["FILL_FAR"])
         forward = case.forward(session, owned)
-        self.program, self.surfaces = forward.kernels.program, forward.rest_surfaces
+        self.target, self.surfaces = forward.kernels, forward.rest_surfaces
 
     def run(self, name: str, size: tuple[int, ...], local: tuple[int, ...], **given: Any) -> None:
-        run(self.session, self.program, name, size, local, grid=self.case.grid, lens=self.case.lens, **given)
+        run(self.session, self.target, name, size, local, grid=self.case.grid, lens=self.case.lens, **given)
 
     def out(self, dtype: Any, count: int, value: int = 0) -> cl.Buffer:
         buffer = empty(self.session, np.dtype(dtype).itemsize * count)

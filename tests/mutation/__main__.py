@@ -41,6 +41,7 @@ TESTS = {
     "blur/vignetting.cl": "pipeline/test_real_lens",
     "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "
     "kernels/test_visibility pipeline/test_occlusion",
+    "blur/pixel_sources.clh": "kernels/test_blur_amid kernels/test_blur kernels/test_visibility",
     "blur/convolve.cl": "kernels/test_convolve",
     "blur/tiles.cl": "kernels/test_tiles",
     "blur/cpu/spans.clh": "pipeline/test_occlusion kernels/test_visibility kernels/test_rims",
@@ -68,6 +69,7 @@ TESTS = {
     "common/source_visibility.clh": "kernels/test_visibility pipeline/test_occlusion pipeline/test_occlusion_lenses",
     "common/psf.clh": "kernels/test_blur kernels/test_pupils kernels/test_tiles engine/test_defocus",
     "common/sources.clh": "kernels/test_blur kernels/test_trace kernels/test_visibility pipeline/test_occlusion",
+    "common/tilt.clh": "kernels/test_geometry kernels/test_trace kernels/test_blur",
     "common/equation.clh": "kernels/test_visibility_occluders kernels/test_visibility pipeline/test_occlusion",
     "common/visibility.clh": "kernels/test_visibility_occluders kernels/test_visibility kernels/test_blur "
     "pipeline/test_occlusion kernels/test_rims",
@@ -97,8 +99,11 @@ TESTS = {
     "trace/texture.clh": "kernels/test_trace kernels/test_trace_kernels",
     "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_kernels",
-    "trace/trace.cl": "kernels/test_trace_kernels kernels/test_trace kernels/test_geometry pipeline/test_views "
-    "pipeline/test_scenes",
+    "trace/cast.cl": "kernels/test_trace_kernels kernels/test_trace pipeline/test_scenes",
+    "trace/aim.cl": "kernels/test_trace_kernels kernels/test_trace kernels/test_geometry pipeline/test_views",
+    "trace/record.clh": "kernels/test_trace_kernels kernels/test_trace kernels/test_geometry pipeline/test_views",
+    "trace/silhouettes.cl": "kernels/test_trace_kernels kernels/test_trace",
+    "trace/subpixels.cl": "kernels/test_trace_kernels kernels/test_trace pipeline/test_surface_textures",
     "warp/warp.cl": "kernels/test_warp pipeline/test_scenes",
 }
 """Kernel file -> tests that reach it, the quickest first."""

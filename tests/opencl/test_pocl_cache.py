@@ -26,7 +26,7 @@ from clsco.opencl.device import choose
 from clsco.opencl.session import Session
 program.folder = source_text.folder = lambda name: Path(sys.argv[1])
 with Session(choose("pocl")) as session:
-    built = program.build(session, ["work.cl"], {}, {}, "float")
+    built = program.build(session, "work.cl", {}, {}, "float")
     for name in ("first", "second"):
         buffer = buffers.empty(session, 4 * 256)
         program.launch(session, built[name], (256,), (64,), buffer)

@@ -18,7 +18,7 @@ from clsco.opencl import program as program_module
 from clsco.opencl import self_test, source_text
 from clsco.opencl.buffers import download, empty, upload
 from clsco.opencl.device import Device
-from clsco.opencl.program import WITHOUT_HEADER, build, kernel, launch
+from clsco.opencl.program import WITHOUT_HEADER, Target, build, launch
 from clsco.opencl.session import Session
 from clsco.opencl.source_text import program_text, struct_text
 
@@ -88,7 +88,7 @@ def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def built(session: Session, extra: int = 0, real: Any = "double") -> dict[str, cl.Kernel]:
-    return build(session, ["work.cl"], {"EXTRA": extra}, STRUCTS, real)
+    return build(session, "work.cl", {"EXTRA": extra}, STRUCTS, real)
 
 
 @pytest.mark.usefixtures("kernels")
@@ -96,7 +96,7 @@ def test_launch_covers_every_item_once_and_none_beyond(session: Session) -> None
     for count in (1, 63, 64, 65, 1000):
         buffer = empty(session, 4 * 1024)
         cl.enqueue_fill_buffer(session.queue, buffer, np.array(-7, np.int32), 0, 4 * 1024)
-        launch(session, kernel(built(session, 5), "count"), (count,), (64,), np.int32(count), buffer)
+        launch(session, built(session, 5)["count"], (count,), (64,), np.int32(count), buffer)
         got = download(session, buffer, (1024,), np.int32)
         expected = np.where(np.arange(1024) < count, 2 * np.arange(1024) + 5 - 7, -7)
         np.testing.assert_array_equal(got, expected)
@@ -136,7 +136,7 @@ def test_a_kernel_may_call_what_is_not_declared(
     assert [WITHOUT_HEADER in one for one in options] == [left_out]
     (kernels / "work.cl").write_text(OTHER)
     buffer = empty(session, 4 * 64)
-    launch(session, kernel(built(session, 22), "count"), (64,), (64,), np.int32(64), buffer)
+    launch(session, built(session, 22)["count"], (64,), (64,), np.int32(64), buffer)
     np.testing.assert_array_equal(download(session, buffer, (64,), np.int32), 16 * np.arange(64) + 22)
     assert [WITHOUT_HEADER in one for one in options[1:]] == ([True, False] if left_out else [False])
 
@@ -148,7 +148,7 @@ def test_structs_arrive_field_by_field(session: Session) -> None:
     scene["pose"]["angle"][1], scene["pose"]["axis"][1, 2], scene["pose"]["id"][1] = 0.1, 0.5, -4
     scene["turn"][1, 2] = 0.25
     buffer = empty(session, 6 * 8)
-    launch(session, kernel(built(session), "fields"), (1,), (1,), scene[()], buffer)
+    launch(session, built(session)["fields"], (1,), (1,), scene[()], buffer)
     np.testing.assert_array_equal(download(session, buffer, (6,), np.float64), [3, 0.1, 0.5, -4, 0.25, 2**40])
 
 
@@ -160,9 +160,7 @@ def test_float32_arithmetic_has_the_bits_of_numpy(session: Session) -> None:
     y = x[::-1]
     expected = np.stack([x * x - y, x / (y + np.float32(1)), np.sqrt(x), x + np.float32(0.1) * y], axis=1)
     buffer = empty(session, expected.nbytes)
-    launch(
-        session, kernel(built(session), "arithmetic"), (x.size,), (64,), np.int32(x.size), upload(session, x), buffer
-    )
+    launch(session, built(session)["arithmetic"], (x.size,), (64,), np.int32(x.size), upload(session, x), buffer)
     got = download(session, buffer, expected.shape, np.float32)
     np.testing.assert_array_equal(got.view(np.uint32), expected.view(np.uint32))
 
@@ -171,7 +169,7 @@ def test_float32_arithmetic_has_the_bits_of_numpy(session: Session) -> None:
 @pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
 def test_real(session: Session, real: str, size: int) -> None:
     buffer = empty(session, 6 * 4)
-    launch(session, kernel(built(session, real=real), "real_size"), (1,), (1,), buffer)
+    launch(session, built(session, real=real)["real_size"], (1,), (1,), buffer)
     device = session.device
     expected = [size, 16 * size, size == 8, device.has_fp64, device.has_int64_atomics, size]
     np.testing.assert_array_equal(download(session, buffer, (6,), np.int32), expected)
@@ -263,9 +261,9 @@ def test_what_features_leave_out_does_not_reach_the_compiler(kernels: Path) -> N
 @pytest.mark.usefixtures("kernels")
 def test_unknown_names(session: Session) -> None:
     with pytest.raises(KernelError, match=r"^kernel: must be one of .*count.*; got missing$"):
-        kernel(built(session), "missing")
+        Target(session, ["work.cl"], {"EXTRA": 0}, "double")["missing"]
     with pytest.raises(KernelError, match=r"got no missing\.cl$"):
-        build(session, ["missing.cl"], {}, {}, "double")
+        build(session, "missing.cl", {}, {}, "double")
 
 
 @pytest.mark.usefixtures("kernels")
@@ -294,7 +292,7 @@ def test_a_struct_whose_layout_is_not_the_compilers_does_not_build(session: Sess
     tail = np.dtype({"names": ["a", "b"], "formats": ["f8", "i4"], "offsets": [0, 8], "itemsize": 24}, align=True)
     (kernels / "work.cl").write_text("__kernel void none(void) {}\n")
     with pytest.raises(KernelError, match="Tail_has_the_size_of_its_dtype"):
-        build(session, ["work.cl"], {}, {"Tail": tail}, "double")
+        build(session, "work.cl", {}, {"Tail": tail}, "double")
 
 
 def aligned(values: np.ndarray[Any, Any], offset: int, alignment: int) -> np.ndarray[Any, Any]:

@@ -28,7 +28,7 @@ Fault = Callable[..., Any]
 """Makes the faulty function: gets the right one, and what it is called with."""
 
 CAMERA = {"resolution": [24, 18], "pixel_pitch": 0.33, "f_number": 0.6, "focus_distance": 220.0}
-BALL: Tables = {"shape": "sphere", "center": [-6.0, 3.0, 150.0], "radius": 8.0, "texture": "#ff8040"}
+BALL: Tables = {"shape": "sphere", "center": [-6.0, 3.0, 150.0], "radius": 8.0, "texture": "#a0a0a0"}
 CARD: Tables = {"shape": "rectangle", "center": [9.0, -4.0, 165.0], "size": [18.0, 11.0], "rotation": [0.0, 40.0, 10.0]}
 WALL: Tables = {"shape": "plane", "distance": 300.0, "slope_x": 0.4, "texture": "bricks"}
 TURNED = {"velocity": [120.0, 20.0, 0.0], "angular_velocity": [0.0, 90.0, 0.0]}
@@ -46,6 +46,7 @@ SCENES: dict[str, Scene] = {
     "stereo": scene_from(TWO, BALL, CARD, WALL, stereo={"baseline": 10.0}),
     "rims": scene_from(TWO, BALL, CARD, WALL, aperture={"rim": [{"distance": 25.0, "diameter": 30.0}]}),
     "laid": scene_from(TWO, LAID, WALL),
+    "color": scene_from({"camera": CAMERA}, {"shape": "plane", "distance": 300.0, "texture": "#ff8040"}),
     "layered": scene_from(TWO, BALL, WALL, psf={"occlusion": "layered"}),
 }
 
@@ -134,7 +135,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "the left eye twice": ("stereo", {f"{PLACED}.poses_at": lambda right, scene, time, eye: right(scene, time)}),
     "no rims": ("rims", {"clsco.optics.resolved_view.elliptic_spread": changed(rims=lambda _: ())}),
     "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
-    "red and blue exchanged": ("still", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
+    "red and blue exchanged": ("color", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
     "four cells of the lens for one": ("layered", {"clsco.plan.plan.lens_cells": always(2)}),
     "depth layers taken for one": ("layered", {f"{PLAN}.choose_occlusion": always(TOGETHER)}),
 }  # fmt: skip

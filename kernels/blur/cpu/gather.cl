@@ -13,9 +13,7 @@
 // taps at a time: no atomics, the same bits in every run. The host picks it on processors. Pointers to unaligned
 // vectors and contraction took it from 131 to 27 ns per pixel at R6 (docs/lessons.md).
 
-#include "common/geometry.clh"
-#include "common/sources.clh"
-#include "common/source_visibility.clh"
+#include "blur/pixel_sources.clh"
 #include "blur/cpu/vectors.clh"
 #include "blur/cpu/many.clh"
 #include "blur/cpu/taps.clh"
