@@ -258,10 +258,15 @@ def test_what_features_leave_out_does_not_reach_the_compiler(kernels: Path) -> N
     assert lines(True) == ['#line 1 "cpu/header.clh"', "of processors", '#line 2 "work.cl"', "a", *left, *rest]
 
 
-@pytest.mark.usefixtures("kernels")
-def test_unknown_names(session: Session) -> None:
-    with pytest.raises(KernelError, match=r"^kernel: must be one of .*count.*; got missing$"):
-        Target(session, ["work.cl"], {"EXTRA": 0}, "double")["missing"]
+def test_a_file_is_built_when_one_of_its_kernels_is_used(session: Session, kernels: Path) -> None:
+    (kernels / "plain.cl").write_text("__kernel void plain(int n) {}\n")
+    (kernels / "broken.cl").write_text("__kernel void broken(int n) { this is no C }\n")
+    target = Target(session, ["plain.cl", "broken.cl"], {}, "float")
+    assert target["plain"] is target["plain"]
+    with pytest.raises(KernelError, match=r"^broken\.cl: must build on "):
+        target["broken"]
+    with pytest.raises(KernelError, match=r"^kernel: must be one of broken, plain; got missing$"):
+        target["missing"]
     with pytest.raises(KernelError, match=r"got no missing\.cl$"):
         build(session, "missing.cl", {}, {}, "double")
 
