@@ -34,9 +34,9 @@ GAIN, GAIN_PER_LOG, TILT_GAIN = 2.6, 2.0, 2.0
 
 # Kernel files of each method in `blur_target`; `convolve` has a target of its own.
 FILES_OF: dict[Blur, tuple[str, ...]] = {
-    "gather": ("blur/blur.cl", "blur/cpu/gather.cl"),
-    "scatter": ("blur/blur.cl",),
-    "tiles": ("blur/blur.cl", "blur/tiles.cl"),
+    "gather": ("blur/prepare.cl", "blur/blur.cl", "blur/cpu/gather.cl"),
+    "scatter": ("blur/prepare.cl", "blur/blur.cl"),
+    "tiles": ("blur/prepare.cl", "blur/blur.cl", "blur/tiles.cl"),
     "convolve": (),
 }
 

@@ -41,6 +41,7 @@ TESTS = {
     "blur/vignetting.cl": "pipeline/test_real_lens",
     "blur/blur.cl": "kernels/test_blur_amid kernels/test_blur engine/test_defocus kernels/test_layered "
     "kernels/test_visibility pipeline/test_occlusion",
+    "blur/prepare.cl": "kernels/test_blur_amid kernels/test_blur kernels/test_layered",
     "blur/pixel_sources.clh": "kernels/test_blur_amid kernels/test_blur kernels/test_visibility",
     "blur/convolve.cl": "kernels/test_convolve",
     "blur/tiles.cl": "kernels/test_tiles",
