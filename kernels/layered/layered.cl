@@ -273,28 +273,19 @@ __kernel void measure_tiles(const int rows, const int columns, const int far, co
     distance[y * columns + x] = least;
 }
 
-// Keeps only the sources that reach a tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
-// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, flags, distance. In and out: source.
-__kernel void keep_sources(const grid_t grid, const real2 spread, const int which, const int sign,
-                           __global const real *coc,
-                           __global const int *flags, __global const int *distance, __global float *source) {
-    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), columns = columns_of(grid);
+// Discards the sources that reach no tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
+// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, distance. In and out: source.
+__kernel void keep_sources(const grid_t grid, const real2 spread, const int sign, __global const real *coc,
+                           __global const int *distance, __global float *source) {
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), row = y * grid.width;
     if (begin >= grid.width || y >= grid.height)
         return;
-    const int away = distance[tile_of(grid, begin, y)];
-    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && (away > 0 || sign); ++x) {
-        const int pixel = y * grid.width + x, far = reach_of(coc[pixel], spread);
-        if (sign && (coc[pixel] < 0) != (sign < 0)) {
-            source[pixel] = -1;
-            continue;
-        }
-        bool keep = far > 2 * LAYER_TILE || far < away;  // wide blurs are not worth the search
-        for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && !keep; ++row)
-            for (int at = MAX(x - far, 0) / LAYER_TILE; at <= MIN(x + far, grid.width - 1) / LAYER_TILE; ++at)
-                keep |= flags[row * columns + at] == which;
-        if (far < away || !keep)
-            source[pixel] = -1;
-    }
+    const int away = distance[tile_of(grid, begin, y)], end = MIN(begin + LAYER_TILE, grid.width);
+    if (away == 0 && !sign)
+        return;
+    for (int at = row + begin; at < row + end; ++at)
+        if (reach_of(coc[at], spread) < away || (sign && (coc[at] < 0) != (sign < 0)))
+            source[at] = -1;
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
@@ -314,6 +305,10 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
     const int tile = tile_of(grid, column + grid.guard, row + grid.above);
     if (!left[tile])
         return;
+    if (!needed[tile]) {
+        raise(still_left + tile, 1);
+        return;
+    }
     __global const float *sums = blurred + row * from_pitch + column + from_pad;
     const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
 #if QUADRANTS
@@ -322,7 +317,7 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
     const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
     float coverage[4], covered = 0, unseen = 0;
     for (int q = 0; q < 4; ++q) {
-        coverage[q] = needed[tile] ? sums[q * apart + CHANNELS * plane] : 0;
+        coverage[q] = sums[q * apart + CHANNELS * plane];
         covered += coverage[q];
         unseen += room[q * pixels + at];
     }
@@ -347,7 +342,7 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
     if (unseen > 0)
         raise(still_left + tile, 1);
 #else
-    const float ones = needed[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
+    const float ones = sums[(CHANNELS + 1) * plane], before = room[at];
     if (ones > 0) {
         for (int c = 0; c < CHANNELS; ++c)
             light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
