@@ -81,7 +81,7 @@ class DepthLayers:
         if several:
             args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked)
             out = (self.light, self.room, plane.buffer)
-            self.target.run("put_layers", self.outer.size, PIXELS, job.events, *args, *out)
+            self.target.run("put_layers", self._rows(job), TILES, job.events, *args, *out)
         return plane
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
@@ -122,4 +122,8 @@ class DepthLayers:
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         args += (sheet.image.maps[0],) if by_quadrants else ()
-        self.target.run("composite", inner.size, PIXELS, job.events, *args)
+        self.target.run("composite", self._rows(job), TILES, job.events, *args)
+
+    def _rows(self, job: Job) -> tuple[int, int]:
+        """Number of tiles in a row of the source grid, and of rows of the strip."""
+        return tiles_of(job.grid)[0], self.outer.size[1]

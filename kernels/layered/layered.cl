@@ -159,14 +159,9 @@ typedef struct {
 // Radiance of the two surfaces in a pixel at a discontinuity, and the share of the nearer one. The mean colors of both
 // explain the pixel's color; their variances say how much that counts against the mask. Both get what is left, but not
 // beyond the colors of their pixels. In: value, layer, sides. Out: mixed.
-__kernel void unmix(const grid_t grid, __global const float *value, __global const uchar *layer,
-                    __global const uchar *sides, __global float *mixed) {
-    const int x = get_global_id(0), y = get_global_id(1), plane = grid.width * grid.height;
-    if (x >= grid.width || y >= grid.height)
-        return;
-    const int at = y * grid.width + x, near = sides[at] >> 4, far = sides[at] & 15;
-    if (!near)
-        return;
+static void unmix_at(const grid_t grid, int x, int y, __global const float *value, __global const uchar *layer,
+                     __global const uchar *sides, __global float *mixed) {
+    const int at = y * grid.width + x, near = sides[at] >> 4, far = sides[at] & 15, plane = grid.width * grid.height;
     float mask[2] = {0, 0};
     colors_t sums[4] = {{0}, {0}, {0}, {0}};  // of the near and the far side, away from edges and at edges
     for (int c = 0; c < CHANNELS; ++c)
@@ -220,6 +215,17 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
         }
     }
     mixed[2 * CHANNELS * plane + at] = share;
+}
+
+// `unmix_at` for LAYER_TILE pixels of a row.
+__kernel void unmix(const grid_t grid, __global const int *edge, __global const float *value,
+                    __global const uchar *layer, __global const uchar *sides, __global float *mixed) {
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1);
+    if (begin >= grid.width || y >= grid.height || !edge[tile_of(grid, begin, y)])
+        return;
+    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width); ++x)
+        if (sides[y * grid.width + x])
+            unmix_at(grid, x, y, value, layer, sides, mixed);
 }
 
 // Px between the nearest rows or columns of two tiles, whichever are farther apart.
@@ -283,9 +289,15 @@ __kernel void keep_sources(const grid_t grid, const real2 spread, const int sign
     const int away = distance[tile_of(grid, begin, y)], end = MIN(begin + LAYER_TILE, grid.width);
     if (away == 0 && !sign)
         return;
-    for (int at = row + begin; at < row + end; ++at)
-        if (reach_of(coc[at], spread) < away || (sign && (coc[at] < 0) != (sign < 0)))
-            source[at] = -1;
+    for (int at = row + begin; at < row + end; ++at) {
+        const bool near = ABS(coc[at]) * spread.x + spread.y > away - 1 - REACH_MARGIN;  // reach_of is at least `away`
+        source[at] = near & (!sign | ((coc[at] < 0) == (sign < 0))) ? source[at] : -1;
+    }
+}
+
+// First column of the frame in the tile of this work-item, or of the one `further` to the right.
+static int first_column(const grid_t grid, int further) {
+    return MIN(MAX(((int)get_global_id(0) + further) * LAYER_TILE - grid.guard, 0), grid.columns);
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
@@ -299,58 +311,57 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
                         , __global const real *coc  // of the sheet
 #endif
                         ) {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= grid.columns || row >= grid.rows)
+    const int row = get_global_id(1), begin = first_column(grid, 0), end = first_column(grid, 1);
+    if (begin >= end || row >= grid.rows)
         return;
-    const int tile = tile_of(grid, column + grid.guard, row + grid.above);
+    const int tile = tile_of(grid, begin + grid.guard, row + grid.above);
     if (!left[tile])
         return;
-    if (!needed[tile]) {
-        raise(still_left + tile, 1);
-        return;
-    }
-    __global const float *sums = blurred + row * from_pitch + column + from_pad;
-    const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
+    bool open = !needed[tile];
+    for (int column = begin; column < end && needed[tile]; ++column) {
+        __global const float *sums = blurred + row * from_pitch + column + from_pad;
+        const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
 #if QUADRANTS
-    const int pixels = grid.rows * grid.columns, apart = (CHANNELS + 2) * plane;
-    const float radius = (float)coc[(row + grid.above) * grid.width + column + grid.guard];
-    const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
-    float coverage[4], covered = 0, unseen = 0;
-    for (int q = 0; q < 4; ++q) {
-        coverage[q] = sums[q * apart + CHANNELS * plane];
-        covered += coverage[q];
-        unseen += room[q * pixels + at];
-    }
-    if (covered > 0) {
-        float own[4], ones = 0, mean = 0;
+        const int pixels = grid.rows * grid.columns, apart = (CHANNELS + 2) * plane;
+        const float radius = (float)coc[(row + grid.above) * grid.width + column + grid.guard];
+        const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
+        float coverage[4], covered = 0, unseen = 0;
         for (int q = 0; q < 4; ++q) {
-            own[q] = sums[q * apart + (CHANNELS + 1) * plane];
-            ones += own[q];
-            mean += room[q * pixels + at] * own[q];
-        }
-        unseen = 0;
-        for (int q = 0; q < 4; ++q) {
-            const float before = room[q * pixels + at], part = (joined ? mean / ones : before) / ones;
-            const float share = joined || own[q] <= 0 ? covered / ones : coverage[q] / own[q];
-            for (int c = 0; c < CHANNELS; ++c)
-                light[c * pixels + at] += part * sums[q * apart + c * plane];
-            room[4 * pixels + at] += part * coverage[q];
-            room[q * pixels + at] = before * (1 - MIN(share, 1.0f));
+            coverage[q] = sums[q * apart + CHANNELS * plane];
+            covered += coverage[q];
             unseen += room[q * pixels + at];
         }
-    }
-    if (unseen > 0)
-        raise(still_left + tile, 1);
+        if (covered > 0) {
+            float own[4], ones = 0, mean = 0;
+            for (int q = 0; q < 4; ++q) {
+                own[q] = sums[q * apart + (CHANNELS + 1) * plane];
+                ones += own[q];
+                mean += room[q * pixels + at] * own[q];
+            }
+            unseen = 0;
+            for (int q = 0; q < 4; ++q) {
+                const float before = room[q * pixels + at], part = (joined ? mean / ones : before) / ones;
+                const float share = joined || own[q] <= 0 ? covered / ones : coverage[q] / own[q];
+                for (int c = 0; c < CHANNELS; ++c)
+                    light[c * pixels + at] += part * sums[q * apart + c * plane];
+                room[4 * pixels + at] += part * coverage[q];
+                room[q * pixels + at] = before * (1 - MIN(share, 1.0f));
+                unseen += room[q * pixels + at];
+            }
+        }
+        open |= unseen > 0;
 #else
-    const float ones = sums[(CHANNELS + 1) * plane], before = room[at];
-    if (ones > 0) {
-        for (int c = 0; c < CHANNELS; ++c)
-            light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
-        room[at] = before * (1 - MIN(sums[CHANNELS * plane] / ones, 1.0f));
-    }
-    if (room[at] > 0)
-        raise(still_left + tile, 1);
+        const float ones = sums[(CHANNELS + 1) * plane], before = room[at];
+        if (ones > 0) {
+            for (int c = 0; c < CHANNELS; ++c)
+                light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
+            room[at] = before * (1 - MIN(sums[CHANNELS * plane] / ones, 1.0f));
+        }
+        open |= room[at] > 0;
 #endif
+    }
+    if (open)
+        raise(still_left + tile, 1);
 }
 
 // Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover.
@@ -358,22 +369,22 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
 // blur.cl.
 __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __global const int *marked,
                          __global const float *light, __global const float *room, __global float *total) {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= grid.columns || row >= grid.rows)
+    const int row = get_global_id(1), begin = first_column(grid, 0), end = first_column(grid, 1);
+    if (begin >= end || row >= grid.rows || !marked[tile_of(grid, begin + grid.guard, row + grid.above)])
         return;
-    if (!marked[tile_of(grid, column + grid.guard, row + grid.above)])
-        return;
-    const int at = row * grid.columns + column, pixels = grid.rows * grid.columns;
+    for (int column = begin; column < end; ++column) {
+        const int at = row * grid.columns + column, pixels = grid.rows * grid.columns;
 #if QUADRANTS
-    const float left = 0.25f * (room[at] + room[pixels + at] + room[2 * pixels + at] + room[3 * pixels + at]);
-    const float seen = room[4 * pixels + at], scale = seen > 0 ? 1 / (seen + left) : 0, coverage = seen * scale;
+        const float left = 0.25f * (room[at] + room[pixels + at] + room[2 * pixels + at] + room[3 * pixels + at]);
+        const float seen = room[4 * pixels + at], scale = seen > 0 ? 1 / (seen + left) : 0, coverage = seen * scale;
 #else
-    const float scale = 1, coverage = 1 - room[at];
+        const float scale = 1, coverage = 1 - room[at];
 #endif
-    for (int c = 0; c < CHANNELS; ++c)
-        total[(c * grid.rows + row) * pitch + column + pad] = scale * light[c * pixels + at];
-    if (ALPHA)
-        total[(CHANNELS * grid.rows + row) * pitch + column + pad] = coverage;
+        for (int c = 0; c < CHANNELS; ++c)
+            total[(c * grid.rows + row) * pitch + column + pad] = scale * light[c * pixels + at];
+        if (ALPHA)
+            total[(CHANNELS * grid.rows + row) * pitch + column + pad] = coverage;
+    }
 }
 
 #pragma OPENCL FP_CONTRACT OFF

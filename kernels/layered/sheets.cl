@@ -48,34 +48,37 @@ static void put_means(float known, float settled, const float *sum, __global flo
     to[SETTLED * plane] = settled > 0;
 }
 
-// One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels, of those within
-// `near` px of a marked tile. In: all planes of the image, to_marked. Out: pyramid.
+// LAYER_TILE / 2 pixels of a row of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2
+// pixels, 0 farther than `near` px from a marked tile. In: all planes of the image, to_marked. Out: pyramid.
 __kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns, const int near,
                          __global const int *to_marked, __global const float *value, __global const real *coc,
                          __global const uchar *layer,
                          __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= columns || y >= rows)
+    const int begin = get_global_id(0) * LAYER_TILE / 2, y = get_global_id(1), plane = grid.width * grid.height;
+    if (begin >= columns || y >= rows)
         return;
-    const int plane = grid.width * grid.height;
-    float known = 0, settled = 0, sum[PLANES];
-    for (int c = 0; c < PLANES; ++c)
-        sum[c] = 0;
-    const bool some = to_marked[tile_of(grid, 2 * x, 2 * y)] <= near;
-    for (int row = 2 * y; row < MIN(2 * y + 2, grid.height) && some; ++row)
-        for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
-            const int at = row * grid.width + column;
-            const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
-            settled += part.settled;
-            sum[COVERAGE] += part.settled * part.share;
-            if (part.known == 0)
-                continue;
-            known += part.known;
-            for (int c = 0; c < CHANNELS; ++c)
-                sum[c] += part.light[c * plane];
-            sum[RADIUS] += part.known * (float)coc[at];
-        }
-    put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
+    const int end = MIN(begin + LAYER_TILE / 2, columns);
+    const bool some = to_marked[tile_of(grid, 2 * begin, 2 * y)] <= near;
+    for (int c = 0; c < PLANES && !some; ++c)
+        for (int x = begin; x < end; ++x)
+            pyramid[(c * rows + y) * columns + x] = 0;
+    for (int x = begin; x < end && some; ++x) {
+        float known = 0, settled = 0, sum[PLANES] = {0};
+        for (int row = 2 * y; row < MIN(2 * y + 2, grid.height); ++row)
+            for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
+                const int at = row * grid.width + column;
+                const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
+                settled += part.settled;
+                sum[COVERAGE] += part.settled * part.share;
+                if (part.known == 0)
+                    continue;
+                known += part.known;
+                for (int c = 0; c < CHANNELS; ++c)
+                    sum[c] += part.light[c * plane];
+                sum[RADIUS] += part.known * (float)coc[at];
+            }
+        put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
+    }
 }
 
 // One pixel of the coarser level (rows, columns) per work-item: means of known pixels among 2 x 2 of the finer level
@@ -85,9 +88,7 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
     const int x = get_global_id(0), y = get_global_id(1), plane = rows * columns, fine_plane = fine_rows * fine_columns;
     if (x >= columns || y >= rows)
         return;
-    float known = 0, settled = 0, sum[PLANES];
-    for (int c = 0; c < PLANES; ++c)
-        sum[c] = 0;
+    float known = 0, settled = 0, sum[PLANES] = {0};
     for (int row = 2 * y; row < MIN(2 * y + 2, fine_rows); ++row)
         for (int column = 2 * x; column < MIN(2 * x + 2, fine_columns); ++column) {
             __global const float *from = pyramid + fine + row * fine_columns + column;
