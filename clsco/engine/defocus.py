@@ -13,7 +13,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, TAP_LANES
+from clsco.constants import DISCONTINUITY, SAME, TAP_LANES
 from clsco.engine.checks import check_layer, layer_arrays
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import BlurWorkspace, shared_buffers
@@ -43,7 +43,6 @@ from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
-SAME = 0.25  # px; as in kernels/layered/sheets.cl
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
 

@@ -121,8 +121,7 @@ static bool is_uneven(real coc, real other) {
 // One tile per work-item. In: value, coc, layer. Out: sides, reach, edge.
 __kernel void find_edges(const grid_t grid, const real2 spread, __global const float *value,
                          __global const real *coc, __global const uchar *layer, __global uchar *sides,
-                         __global int *reach,
-                         __global int *edge) {
+                         __global int *reach, __global int *edge) {
     const int left = get_global_id(0) * LAYER_TILE, top = get_global_id(1) * LAYER_TILE;
     if (left >= grid.width || top >= grid.height)
         return;
@@ -287,8 +286,6 @@ __kernel void keep_sources(const grid_t grid, const real2 spread, const int sign
     if (begin >= grid.width || y >= grid.height)
         return;
     const int away = distance[tile_of(grid, begin, y)], end = MIN(begin + LAYER_TILE, grid.width);
-    if (away == 0 && !sign)
-        return;
     for (int at = row + begin; at < row + end; ++at) {
         const bool near = ABS(coc[at]) * spread.x + spread.y > away - 1 - REACH_MARGIN;  // reach_of is at least `away`
         source[at] = near & (!sign | ((coc[at] < 0) == (sign < 0))) ? source[at] : -1;

@@ -11,7 +11,6 @@
 #define COVERAGE (CHANNELS + 2)
 #define SETTLED (CHANNELS + 3)
 #define PLANES (CHANNELS + 4)
-#define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 #define PULLED 0.015625f  // weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 #define GAIN 4.0f         // steepness of a hidden outline
 
@@ -52,8 +51,8 @@ static void put_means(float known, float settled, const float *sum, __global flo
 // pixels, 0 farther than `near` px from a marked tile. In: all planes of the image, to_marked. Out: pyramid.
 __kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns, const int near,
                          __global const int *to_marked, __global const float *value, __global const real *coc,
-                         __global const uchar *layer,
-                         __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
+                         __global const uchar *layer, __global const uchar *sides, __global const float *mixed,
+                         __global float *pyramid) {
     const int begin = get_global_id(0) * LAYER_TILE / 2, y = get_global_id(1), plane = grid.width * grid.height;
     if (begin >= columns || y >= rows)
         return;

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND, SAME
 from clsco.optics.depth_layers import bins_of, layer_bounds, level_count, most_deep, reaches_of
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -28,7 +28,6 @@ MASK_WIDTH = 0.6  # px, standard deviation of the Gaussian of the shares of laye
 NOISE = 5.0  # weight of the surfaces' variance against the color of a mixed pixel
 LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of its color
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
-SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
 PULLED = 1 / 64  # weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
