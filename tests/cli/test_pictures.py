@@ -49,7 +49,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[Array, Array]]]:
 COLORS = layer("", RGB)
 OTHERS = layer("View.Normal.", RGB, "XYZ") | layer("View.DiffCol.", RGB[::-1]) | layer("View.UV.", RGB, "UVA")
 MANY = {f"L{n}.{name}": Z for n in range(5) for name in "XY"}
-BLENDER = layer("View.Combined.", np.dstack([RGB, Z > 0]), "RGBA") | {"View.Mist.Z": Z / 9} | OTHERS
+BLENDER = layer("View.Combined.", np.dstack([RGB, 0.9995 + 0 * Z]), "RGBA") | {"View.Mist.Z": Z / 9} | OTHERS
 KINDS: dict[str, Any] = {
     "Blender 4": (BLENDER | {"View.Depth.Z": Z},),
     "Blender 5": (BLENDER | {"View.Depth.V": Z},),

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND, SAME
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND, OPAQUE, SAME
 from clsco.optics.depth_layers import bins_of, layer_bounds, level_count, most_deep, reaches_of
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -32,7 +32,6 @@ GAIN = 4.0  # steepness of a hidden outline
 PULLED = 1 / 64  # weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
 QUADRANTS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y on the lens
-OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
