@@ -81,7 +81,8 @@ class DepthLayers:
         if several:
             args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked)
             out = (self.light, self.room, plane.buffer)
-            self.target.run("put_layers", self._rows(job), TILES, job.events, *args, *out)
+            rows = tiles_of(job.grid)[0], self.outer.size[1]
+            self.target.run("put_layers", rows, TILES, job.events, *args, *out)
         return plane
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
@@ -122,8 +123,5 @@ class DepthLayers:
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         args += (sheet.image.maps[0],) if by_quadrants else ()
-        self.target.run("composite", self._rows(job), TILES, job.events, *args)
-
-    def _rows(self, job: Job) -> tuple[int, int]:
-        """Number of tiles in a row of the source grid, and of rows of the strip."""
-        return tiles_of(job.grid)[0], self.outer.size[1]
+        rows = tiles_of(job.grid)[0], inner.size[1]
+        self.target.run("composite", rows, TILES, job.events, *args)
