@@ -24,7 +24,7 @@ from clsco.scene.model import DepthMap, Scene
 from clsco.scene.quantities import MIN_LENGTH_MM
 
 SECTIONS = ("title", "camera", "aperture", "psf", "image", "objects")  # parts of a scene that layers depend on
-SAME_DEPTH = 1e-3  # largest relative difference between depths of the background
+SAME = 1e-3  # largest relative difference between depths of the background
 FAR = 1e10  # number that Blender stores for infinitely far
 
 
@@ -158,7 +158,7 @@ def assign_covered_depths(
 
     def join(source: NDArray[np.intp], at: NDArray[np.intp]) -> NDArray[np.intp]:
         with np.errstate(invalid="ignore", over="ignore"):
-            at = at[partly[at] & ~behind[at] & (np.abs(z[at] - z[source]) <= SAME_DEPTH * np.abs(z[at]))]
+            at = at[partly[at] & ~behind[at] & (np.abs(z[at] - z[source]) <= SAME * np.abs(z[at]))]
         behind[at] = True
         return at
 

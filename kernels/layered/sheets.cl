@@ -188,7 +188,7 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
         if (layer[at] != which) {
             const around_t nearest = around(known, rows, columns, y, x, false);
             const real pulled = between(pyramid + RADIUS * coarse, nearest);
-            if (!part.settled && part.whole && ABS(pulled - radius) <= SAME) {  // it is one surface with the pixel
+            if (!part.settled && part.whole && ABS(pulled - radius) <= FUSED) {  // it is one surface with the pixel
                 coverage = alpha_of(value, plane, at);
                 shown = true;
             } else {

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND, OPAQUE, SAME
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, FUSED, LAYER_BIN, LAYER_TILE, MIXED_AROUND, OPAQUE
 from clsco.optics.depth_layers import bins_of, layer_bounds, level_count, most_deep, reaches_of
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -239,7 +239,7 @@ def take_sheet(
     light = np.where(visible[..., None], light, spread)
     radius = np.where(own, coc, extrapolated)
     whole = (near != layer) & (alpha >= OPAQUE)
-    same = hidden & whole & (np.abs(radius - coc) <= SAME)
+    same = hidden & whole & (np.abs(radius - coc) <= FUSED)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
     coverage = np.where(same, alpha, coverage)[..., None]
     return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
