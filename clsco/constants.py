@@ -97,6 +97,8 @@ LAYER_BIN = 0.25  # px; depth layers end at multiples of this radius
 DISCONTINUITY_CLASSES = 10  # number of size classes, for sizes above 1, 2, 4 ... times DISCONTINUITY
 LAYER_TILE = 16  # rows and columns of the tiles that are blurred with or without occlusion
 REACH_MARGIN = 2  # px, as tables of weights round radii up
+FUSED = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
+OPAQUE = 0.999  # least alpha of an opaque pixel, as sums of samples are rounded
 MIXED_AROUND = 4  # px around a pixel at an edge, in which the mean colors of its two surfaces are taken
 
 # Forward warp (kernels/warp/warp.cl).

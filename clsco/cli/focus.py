@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from clsco.cli.options import option, parse_length, parse_pair
+from clsco.cli.options import NumberRange, option, parse_length, parse_pair
 from clsco.errors import ClscoError, SceneError
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ focus_at_option = option(
 focus_depth_option = option(
     "--focus-depth", "SHARE",
     "Focus on the depth that this share of the picture is nearer than: 0 the nearest, 0.5 the median, 1 the farthest.",
-    click.FloatRange(0.0, 1.0),
+    NumberRange(0.0, 1.0),
 )  # fmt: skip
 
 

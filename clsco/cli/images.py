@@ -11,7 +11,7 @@ import click
 from clsco.cli import options
 from clsco.cli.focus import focus_at_option, focus_depth_option, focus_distance_option, focus_files, parse_focus
 from clsco.cli.inputs import paired_files, report_inputs, report_loss, report_notes
-from clsco.cli.options import PATH, Command, Computation, Names, option, require_device
+from clsco.cli.options import PATH, Command, Computation, Names, NumberRange, option, require_device
 from clsco.cli.output import echo
 from clsco.cli.render import render_to_folders, request_for
 
@@ -82,7 +82,7 @@ def _depth_option(key: str, metavar: str, text: str) -> Callable[[Command], Comm
 @_length("--pixel-pitch", "Distance between pixels on the detector, mm.")
 @_length("--sensor-width", "Width of the image on the detector, in place of the pixel pitch, such as 36mm.")
 @option("--fov", "ANGLE", "Horizontal angle of view, in place of the pixel pitch, like 40deg.", options.parse_angle)
-@option("--max-blur", "PX", "Clamp blur radii, and count the pixels.", click.FloatRange(0.0, 512.0, min_open=True))
+@option("--max-blur", "PX", "Clamp blur radii, and count the pixels.", NumberRange(0.0, 512.0, min_open=True))
 @options.truth_options
 @options.set_option
 @options.computation_options

@@ -48,6 +48,15 @@ class Names(click.ParamType):  # type: ignore[type-arg] # before click 8.2 it ta
         return [CompletionItem(f"{head}{comma}{name}") for name in self.source() if name.startswith(last)]
 
 
+class NumberRange(click.FloatRange):
+    """Type of an option whose value is in a range; click's own also accepts NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if (number := super().convert(value, param, ctx)) != number:
+            self.fail(f"must be a number; got {value}", param, ctx)
+        return number
+
+
 def option(
     names: str, metavar: str, text: str, kind: Any = str, shown: Any = None, **more: Any
 ) -> Callable[[Command], Command]:
@@ -232,7 +241,7 @@ _MEMORY = option(
 _TOLERANCE = option(
     "--tolerance", "E",
     "Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
-    click.FloatRange(min=0.0, min_open=True),
+    NumberRange(min=0.0, min_open=True),
 )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import click
 
 from clsco.cli import options
 from clsco.cli.inputs import first_scene, report_scenes
-from clsco.cli.options import PATH, Computation, option
+from clsco.cli.options import PATH, Computation, NumberRange, option
 from clsco.cli.output import echo
 from clsco.cli.render import request_for, require_uncolored
 from clsco.errors import DeviceError, MissingDependencyError, SceneError
@@ -109,7 +109,7 @@ def _session_of_plan(device: str | None) -> tuple[Session | None, str]:
     "--rays", "N", "Most rays of a pixel; 0: the reference alone, without the extra.", click.IntRange(0), shown=2**16
 )
 @option(
-    "--seconds", "S", "Time for all rays, which ends at a standard error of 1e-3 of white.", click.FloatRange(min=0.0),
+    "--seconds", "S", "Time for all rays, which ends at a standard error of 1e-3 of white.", NumberRange(min=0.0),
     shown=20.0,
 )  # fmt: skip
 @option("-o out", "OUT", "File: .json for all figures, .png for a picture of the pixels tried.", PATH)

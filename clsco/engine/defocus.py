@@ -13,7 +13,7 @@ import pyopencl as cl
 import pyopencl.array as cl_array
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, TAP_LANES
+from clsco.constants import DISCONTINUITY, FUSED, TAP_LANES
 from clsco.engine.checks import check_layer, layer_arrays
 from clsco.engine.shrinking import Shrinking
 from clsco.engine.workspace import BlurWorkspace, shared_buffers
@@ -43,7 +43,6 @@ from clsco.records import REAL, Real, Struct
 from clsco.scene.file import ApertureLike, CameraLike, PsfLike, aperture_of, camera_of, psf_of
 from clsco.scene.model import Psf
 
-SAME = 0.25  # px; as in kernels/layered/sheets.cl
 Outside = Literal["mirror", "black"]
 SoftEdges = Literal["assign", "keep"]
 
@@ -257,7 +256,7 @@ class _Layer:
         return steepest_step(self.coc if self.coc.dtype.kind == "f" else self.coc.astype(np.float64))
 
     def continues_in(self, other: _Layer) -> bool:
-        """True if both are parts of one picture: their radii differ by at most SAME px in pixels that both cover, and
+        """True if both are parts of one picture: their radii differ by at most FUSED px in pixels that both cover, and
         in most pairs of neighbors.
         """
         here, there = (np.where(each.covered, each.coc.astype(np.float64), np.nan) for each in (self, other))
@@ -267,7 +266,7 @@ class _Layer:
         between = np.concatenate(steps)
         between = between[~np.isnan(between)]
         overlapping = np.abs(here - there)[self.covered & other.covered]
-        return bool(overlapping.max(initial=0.0) <= SAME and between.size and np.median(between) <= SAME)
+        return bool(overlapping.max(initial=0.0) <= FUSED and between.size and np.median(between) <= FUSED)
 
     def mean_radius(self) -> float:
         """Mean R of what is covered, px; 0 for one image."""

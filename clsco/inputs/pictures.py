@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from clsco.constants import OPAQUE
 from clsco.errors import FileError, SceneError
 from clsco.files.color import SRGB, Color
 from clsco.files.decoders import decode_once, mirrored
@@ -63,7 +64,7 @@ def load_layers(scene: Scene, focus: Focus | None = None, max_blur: float | None
     shape = tuple(max(lengths) for lengths in zip(*(alpha.shape for alpha in alphas), strict=True))
     margin = (shape[0] - size[1]) // 2, (shape[1] - size[0]) // 2
     inside = tuple(slice(more, length - more) for more, length in zip(margin, shape, strict=True))
-    alphas = [_fit(alpha, shape) for alpha in alphas]
+    alphas = [np.where(a >= OPAQUE, np.float32(1.0), a) for a in (_fit(alpha, shape) for alpha in alphas)]
     wide, framed = (scene.replace("camera.resolution", list(pair)) for pair in (shape[::-1], size))
     of_lens = (focus is None and max_blur is None) or any(item.unit == "coc" for item in items)
     pinhole = {} if of_lens else {"aperture_diameter": MIN_LENGTH_MM}  # so that no depth is too near

@@ -31,7 +31,8 @@ LEAST_STEEPEST = 0.1  # px, least steepest step; 0.07 of the whole edge from 1 t
 OVER, RINGING = 0.01, 0.15  # least and largest overshoot of an edge beyond a surface, as shares of the whole step
 SETTLED = 0.4  # largest change of the surface behind an overshoot, as a share of the overshoot; 0.5 on a slanted plane
 LARGER = 1.2  # ratio of steps above which an edge removes a smaller one whose surfaces have pixels of the larger edge
-ROWS = 64  # number of rows searched at once
+ROWS = 64  # number of rows whose steps are computed at once
+PLACES = 1 << 14  # number of steep steps examined at once
 COLOR_NOISE = 0.03  # least standard deviation of the surfaces' colors, as a share of the brighter one
 AROUND = 8  # number of pixels on each surface from which the variance of its color is computed
 SHIFT = 0.7  # standard deviation of the distance between an edge in depth and in color, px
@@ -128,12 +129,8 @@ def _found(radius: Array, stored: Array | None, image: Callable[[], NDArray[Any]
 
 def _soft_edges(radius: Array, shapes: list[Array], line: Indices, column: Indices) -> _Edges:
     """Soft edges that rows cross in any of the maps `shapes`; line, column: of the steep steps, from `_steep`."""
-    ends = np.searchsorted(line, range(0, len(radius) + ROWS, ROWS))
-    parts = [_edges(radius[:1], radius[:1], line[:0], column[:0], 0)]
-    for k in np.flatnonzero(np.diff(ends)):
-        places, strip = slice(ends[k], ends[k + 1]), slice(k * ROWS, (k + 1) * ROWS)
-        at = line[places] - k * ROWS, column[places]
-        parts += [_edges(radius[strip], shape[strip], *at, int(k) * ROWS) for shape in shapes]
+    begins = range(0, max(len(line), 1), PLACES)
+    parts = [_edges(radius, s, line[n : n + PLACES], column[n : n + PLACES]) for n in begins for s in shapes]
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in _Edges.__dataclass_fields__)
     return _supported(_Edges(*joined), radius.shape[1])
 
@@ -166,8 +163,8 @@ def _steep(radius: Array) -> tuple[tuple[Indices, Indices], tuple[Indices, Indic
     return (row, column), (down_column[order], down_row[order])
 
 
-def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: int) -> _Edges:
-    """Soft edges whose steepest step is from pixel `column` to `column` + 1 of `line`; `top` is the row of line 0."""
+def _edges(radius: Array, stored: Array, line: Indices, column: Indices) -> _Edges:
+    """Soft edges whose steepest step is from pixel `column` to `column` + 1 of `line`."""
     near = _steps(stored, line, column, 2)
     near /= near[:, 2:3].copy()
     some = (np.abs(near[:, 1]) < 1) & (np.abs(near[:, 3]) <= 1) & (near >= -FLAT).all(axis=1)
@@ -188,7 +185,7 @@ def _edges(radius: Array, stored: Array, line: Indices, column: Indices, top: in
     last = first + count + 1
     step = radius[line, last] - radius[line, first]
     begin, end = (_surface(radius, stored, line, *ends) for ends in ((first, last, -1), (last, first, 1)))
-    edges = _Edges(line + top, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
+    edges = _Edges(line, first, count, step, begin[0], end[0], begin[1], end[1], begin[2], end[2])
     return edges[np.abs(edges.end - edges.begin) >= LEAST_STEP]
 
 

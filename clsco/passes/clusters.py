@@ -172,7 +172,8 @@ class Clusters:
         run("label_depth_layers", size, PIXELS, job.events, *head, coc, valid, layer)
         args = (job.grid, self.spread, image.value, coc, layer, sides, *self._named("reach", "edge"))
         run("find_edges", tiles_of(job.grid), TILES, job.events, *args)
-        run("unmix", size, PIXELS, job.events, job.grid, image.value, layer, sides, mixed)
+        rows = tiles_of(job.grid)[0], size[1]
+        run("unmix", rows, TILES, job.events, job.grid, self.buffers["edge"], image.value, layer, sides, mixed)
 
     def _mark(self, job: Job) -> None:
         """Mark the tiles in which edges matter, or with alpha all."""
@@ -199,7 +200,7 @@ class Clusters:
         head = (job.grid, number, np.int32(rows), np.int32(columns))
         marked = (np.int32(self.near), self.buffers["to_marked"])
         self._run_tiles(job, "measure_tiles", self.far, np.int32(1), left, to_left)
-        run("open_sheet", (columns, rows), PIXELS, job.events, *head, *marked, *planes)
+        run("open_sheet", (tiles_of(job.grid)[0], rows), TILES, job.events, *head, *marked, *planes)
         pairs = [(fine, coarse, [np.int32(n) for n in (*fine[:2], *coarse[:2], fine[2], coarse[2])])
                  for fine, coarse in pairwise(levels)]  # fmt: skip
         for _, coarse, sizes in pairs:

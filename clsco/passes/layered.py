@@ -72,14 +72,15 @@ class DepthLayers:
         if layers.image is not None:
             sources = self._sources(job, self.outer, layers.image, behind)
             if several:
-                self._keep(job, layers.image, 0, layers.marked, layers.to_plain)
+                self._keep(job, layers.image, layers.to_plain)
             # Last, since border = "renormalize" overwrites the radiance of the image.
             self.outer.add(sources, job.events)
         plane = self.outer.plane(job.events)
         if several:
             args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked)
             out = (self.light, self.room, plane.buffer)
-            self.target.run("put_layers", self.outer.size, PIXELS, job.events, *args, *out)
+            rows = tiles_of(job.grid)[0], self.outer.size[1]
+            self.target.run("put_layers", rows, TILES, job.events, *args, *out)
         return plane
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
@@ -98,13 +99,11 @@ class DepthLayers:
         prepare_sources(self.inner.target, job.grid, blur.struct, image.maps, self.source, job.events, rims)
         return Sources(self.source, image.value, **behind)
 
-    def _keep(
-        self, job: Job, image: Image, which: int, flags: cl.Buffer, distance: cl.Buffer, sign: int = 0
-    ) -> None:  # fmt: skip
-        """Discard the sources that reach no tile with the flag `which`, and unless `sign` is 0, those whose radius has
-        another one; distance: to the nearest such tile, px.
+    def _keep(self, job: Job, image: Image, distance: cl.Buffer, sign: int = 0) -> None:
+        """Discard the sources that do not reach the nearest tile, `distance` px away, and unless `sign` is 0, those
+        whose radius has another one.
         """
-        args = (job.grid, self.spread, np.int32(which), np.int32(sign), image.maps[0], flags, distance, self.source)
+        args = (job.grid, self.spread, np.int32(sign), image.maps[0], distance, self.source)
         self.target.run("keep_sources", (tiles_of(job.grid)[0], size_of(job.grid)[1]), TILES, job.events, *args)
 
     def _lay(self, job: Job, sheet: Sheet, behind: dict[str, Any]) -> None:
@@ -113,7 +112,7 @@ class DepthLayers:
         inner.begin(job.grid)
         for sign in sheet.signs if by_quadrants else (0,):
             sources = self._sources(job, inner, sheet.image, behind)
-            self._keep(job, sheet.image, 1, sheet.needed, sheet.to_needed, sign)
+            self._keep(job, sheet.image, sheet.to_needed, sign)
             for side in (1, -1) if by_quadrants else (0,):
                 # A positive radius lights the pixels on the side of the lens point, a negative one those opposite.
                 row, right = 2 * (side * sign < 0), int(sign < 0)
@@ -122,4 +121,5 @@ class DepthLayers:
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         args += (sheet.image.maps[0],) if by_quadrants else ()
-        self.target.run("composite", inner.size, PIXELS, job.events, *args)
+        rows = tiles_of(job.grid)[0], inner.size[1]
+        self.target.run("composite", rows, TILES, job.events, *args)

@@ -121,8 +121,7 @@ static bool is_uneven(real coc, real other) {
 // One tile per work-item. In: value, coc, layer. Out: sides, reach, edge.
 __kernel void find_edges(const grid_t grid, const real2 spread, __global const float *value,
                          __global const real *coc, __global const uchar *layer, __global uchar *sides,
-                         __global int *reach,
-                         __global int *edge) {
+                         __global int *reach, __global int *edge) {
     const int left = get_global_id(0) * LAYER_TILE, top = get_global_id(1) * LAYER_TILE;
     if (left >= grid.width || top >= grid.height)
         return;
@@ -159,14 +158,9 @@ typedef struct {
 // Radiance of the two surfaces in a pixel at a discontinuity, and the share of the nearer one. The mean colors of both
 // explain the pixel's color; their variances say how much that counts against the mask. Both get what is left, but not
 // beyond the colors of their pixels. In: value, layer, sides. Out: mixed.
-__kernel void unmix(const grid_t grid, __global const float *value, __global const uchar *layer,
-                    __global const uchar *sides, __global float *mixed) {
-    const int x = get_global_id(0), y = get_global_id(1), plane = grid.width * grid.height;
-    if (x >= grid.width || y >= grid.height)
-        return;
-    const int at = y * grid.width + x, near = sides[at] >> 4, far = sides[at] & 15;
-    if (!near)
-        return;
+static void unmix_at(const grid_t grid, int x, int y, __global const float *value, __global const uchar *layer,
+                     __global const uchar *sides, __global float *mixed) {
+    const int at = y * grid.width + x, near = sides[at] >> 4, far = sides[at] & 15, plane = grid.width * grid.height;
     float mask[2] = {0, 0};
     colors_t sums[4] = {{0}, {0}, {0}, {0}};  // of the near and the far side, away from edges and at edges
     for (int c = 0; c < CHANNELS; ++c)
@@ -222,6 +216,17 @@ __kernel void unmix(const grid_t grid, __global const float *value, __global con
     mixed[2 * CHANNELS * plane + at] = share;
 }
 
+// `unmix_at` for LAYER_TILE pixels of a row.
+__kernel void unmix(const grid_t grid, __global const int *edge, __global const float *value,
+                    __global const uchar *layer, __global const uchar *sides, __global float *mixed) {
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1);
+    if (begin >= grid.width || y >= grid.height || !edge[tile_of(grid, begin, y)])
+        return;
+    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width); ++x)
+        if (sides[y * grid.width + x])
+            unmix_at(grid, x, y, value, layer, sides, mixed);
+}
+
 // Px between the nearest rows or columns of two tiles, whichever are farther apart.
 static int between_tiles(int dx, int dy) {
     return MAX((MAX(ABS(dx), ABS(dy)) - 1) * LAYER_TILE + 1, 0);
@@ -273,28 +278,23 @@ __kernel void measure_tiles(const int rows, const int columns, const int far, co
     distance[y * columns + x] = least;
 }
 
-// Keeps only the sources that reach a tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
-// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, flags, distance. In and out: source.
-__kernel void keep_sources(const grid_t grid, const real2 spread, const int which, const int sign,
-                           __global const real *coc,
-                           __global const int *flags, __global const int *distance, __global float *source) {
-    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), columns = columns_of(grid);
+// Discards the sources that reach no tile whose flag is `which`, LAYER_TILE of a row at a time; distance: px to the
+// nearest such tile; sign: of the radii of sources to keep, 0 for any. In: coc, distance. In and out: source.
+__kernel void keep_sources(const grid_t grid, const real2 spread, const int sign, __global const real *coc,
+                           __global const int *distance, __global float *source) {
+    const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), row = y * grid.width;
     if (begin >= grid.width || y >= grid.height)
         return;
-    const int away = distance[tile_of(grid, begin, y)];
-    for (int x = begin; x < MIN(begin + LAYER_TILE, grid.width) && (away > 0 || sign); ++x) {
-        const int pixel = y * grid.width + x, far = reach_of(coc[pixel], spread);
-        if (sign && (coc[pixel] < 0) != (sign < 0)) {
-            source[pixel] = -1;
-            continue;
-        }
-        bool keep = far > 2 * LAYER_TILE || far < away;  // wide blurs are not worth the search
-        for (int row = MAX(y - far, 0) / LAYER_TILE; row <= MIN(y + far, grid.height - 1) / LAYER_TILE && !keep; ++row)
-            for (int at = MAX(x - far, 0) / LAYER_TILE; at <= MIN(x + far, grid.width - 1) / LAYER_TILE; ++at)
-                keep |= flags[row * columns + at] == which;
-        if (far < away || !keep)
-            source[pixel] = -1;
+    const int away = distance[tile_of(grid, begin, y)], end = MIN(begin + LAYER_TILE, grid.width);
+    for (int at = row + begin; at < row + end; ++at) {
+        const bool near = ABS(coc[at]) * spread.x + spread.y > away - 1 - REACH_MARGIN;  // reach_of is at least `away`
+        source[at] = near & (!sign | ((coc[at] < 0) == (sign < 0))) ? source[at] : -1;
     }
+}
+
+// First column of the frame in the tile of this work-item, or of the one `further` to the right.
+static int first_column(const grid_t grid, int further) {
+    return MIN(MAX(((int)get_global_id(0) + further) * LAYER_TILE - grid.guard, 0), grid.columns);
 }
 
 // Lays a blurred sheet behind the previous ones in the tiles that it reaches. In: blurred float (CHANNELS + 2, rows,
@@ -308,54 +308,57 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
                         , __global const real *coc  // of the sheet
 #endif
                         ) {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= grid.columns || row >= grid.rows)
+    const int row = get_global_id(1), begin = first_column(grid, 0), end = first_column(grid, 1);
+    if (begin >= end || row >= grid.rows)
         return;
-    const int tile = tile_of(grid, column + grid.guard, row + grid.above);
+    const int tile = tile_of(grid, begin + grid.guard, row + grid.above);
     if (!left[tile])
         return;
-    __global const float *sums = blurred + row * from_pitch + column + from_pad;
-    const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
+    bool open = !needed[tile];
+    for (int column = begin; column < end && needed[tile]; ++column) {
+        __global const float *sums = blurred + row * from_pitch + column + from_pad;
+        const int at = row * grid.columns + column, plane = grid.rows * from_pitch;
 #if QUADRANTS
-    const int pixels = grid.rows * grid.columns, apart = (CHANNELS + 2) * plane;
-    const float radius = (float)coc[(row + grid.above) * grid.width + column + grid.guard];
-    const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
-    float coverage[4], covered = 0, unseen = 0;
-    for (int q = 0; q < 4; ++q) {
-        coverage[q] = needed[tile] ? sums[q * apart + CHANNELS * plane] : 0;
-        covered += coverage[q];
-        unseen += room[q * pixels + at];
-    }
-    if (covered > 0) {
-        float own[4], ones = 0, mean = 0;
+        const int pixels = grid.rows * grid.columns, apart = (CHANNELS + 2) * plane;
+        const float radius = (float)coc[(row + grid.above) * grid.width + column + grid.guard];
+        const bool joined = M_PI_F * radius * radius < 4 * FEWEST_TAPS;
+        float coverage[4], covered = 0, unseen = 0;
         for (int q = 0; q < 4; ++q) {
-            own[q] = sums[q * apart + (CHANNELS + 1) * plane];
-            ones += own[q];
-            mean += room[q * pixels + at] * own[q];
-        }
-        unseen = 0;
-        for (int q = 0; q < 4; ++q) {
-            const float before = room[q * pixels + at], part = (joined ? mean / ones : before) / ones;
-            const float share = joined || own[q] <= 0 ? covered / ones : coverage[q] / own[q];
-            for (int c = 0; c < CHANNELS; ++c)
-                light[c * pixels + at] += part * sums[q * apart + c * plane];
-            room[4 * pixels + at] += part * coverage[q];
-            room[q * pixels + at] = before * (1 - MIN(share, 1.0f));
+            coverage[q] = sums[q * apart + CHANNELS * plane];
+            covered += coverage[q];
             unseen += room[q * pixels + at];
         }
-    }
-    if (unseen > 0)
-        raise(still_left + tile, 1);
+        if (covered > 0) {
+            float own[4], ones = 0, mean = 0;
+            for (int q = 0; q < 4; ++q) {
+                own[q] = sums[q * apart + (CHANNELS + 1) * plane];
+                ones += own[q];
+                mean += room[q * pixels + at] * own[q];
+            }
+            unseen = 0;
+            for (int q = 0; q < 4; ++q) {
+                const float before = room[q * pixels + at], part = (joined ? mean / ones : before) / ones;
+                const float share = joined || own[q] <= 0 ? covered / ones : coverage[q] / own[q];
+                for (int c = 0; c < CHANNELS; ++c)
+                    light[c * pixels + at] += part * sums[q * apart + c * plane];
+                room[4 * pixels + at] += part * coverage[q];
+                room[q * pixels + at] = before * (1 - MIN(share, 1.0f));
+                unseen += room[q * pixels + at];
+            }
+        }
+        open |= unseen > 0;
 #else
-    const float ones = needed[tile] ? sums[(CHANNELS + 1) * plane] : 0, before = room[at];
-    if (ones > 0) {
-        for (int c = 0; c < CHANNELS; ++c)
-            light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
-        room[at] = before * (1 - MIN(sums[CHANNELS * plane] / ones, 1.0f));
-    }
-    if (room[at] > 0)
-        raise(still_left + tile, 1);
+        const float ones = sums[(CHANNELS + 1) * plane], before = room[at];
+        if (ones > 0) {
+            for (int c = 0; c < CHANNELS; ++c)
+                light[c * grid.rows * grid.columns + at] += before * (sums[c * plane] / ones);
+            room[at] = before * (1 - MIN(sums[CHANNELS * plane] / ones, 1.0f));
+        }
+        open |= room[at] > 0;
 #endif
+    }
+    if (open)
+        raise(still_left + tile, 1);
 }
 
 // Puts the light of all sheets in place of that without occlusion, in marked tiles; with ALPHA, and what they cover.
@@ -363,22 +366,22 @@ __kernel void composite(const grid_t grid, const int from_pitch, const int from_
 // blur.cl.
 __kernel void put_layers(const grid_t grid, const int pitch, const int pad, __global const int *marked,
                          __global const float *light, __global const float *room, __global float *total) {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= grid.columns || row >= grid.rows)
+    const int row = get_global_id(1), begin = first_column(grid, 0), end = first_column(grid, 1);
+    if (begin >= end || row >= grid.rows || !marked[tile_of(grid, begin + grid.guard, row + grid.above)])
         return;
-    if (!marked[tile_of(grid, column + grid.guard, row + grid.above)])
-        return;
-    const int at = row * grid.columns + column, pixels = grid.rows * grid.columns;
+    for (int column = begin; column < end; ++column) {
+        const int at = row * grid.columns + column, pixels = grid.rows * grid.columns;
 #if QUADRANTS
-    const float left = 0.25f * (room[at] + room[pixels + at] + room[2 * pixels + at] + room[3 * pixels + at]);
-    const float seen = room[4 * pixels + at], scale = seen > 0 ? 1 / (seen + left) : 0, coverage = seen * scale;
+        const float left = 0.25f * (room[at] + room[pixels + at] + room[2 * pixels + at] + room[3 * pixels + at]);
+        const float seen = room[4 * pixels + at], scale = seen > 0 ? 1 / (seen + left) : 0, coverage = seen * scale;
 #else
-    const float scale = 1, coverage = 1 - room[at];
+        const float scale = 1, coverage = 1 - room[at];
 #endif
-    for (int c = 0; c < CHANNELS; ++c)
-        total[(c * grid.rows + row) * pitch + column + pad] = scale * light[c * pixels + at];
-    if (ALPHA)
-        total[(CHANNELS * grid.rows + row) * pitch + column + pad] = coverage;
+        for (int c = 0; c < CHANNELS; ++c)
+            total[(c * grid.rows + row) * pitch + column + pad] = scale * light[c * pixels + at];
+        if (ALPHA)
+            total[(CHANNELS * grid.rows + row) * pitch + column + pad] = coverage;
+    }
 }
 
 #pragma OPENCL FP_CONTRACT OFF

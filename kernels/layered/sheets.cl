@@ -11,7 +11,6 @@
 #define COVERAGE (CHANNELS + 2)
 #define SETTLED (CHANNELS + 3)
 #define PLANES (CHANNELS + 4)
-#define SAME 0.25f        // px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 #define PULLED 0.015625f  // weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 #define GAIN 4.0f         // steepness of a hidden outline
 
@@ -48,34 +47,37 @@ static void put_means(float known, float settled, const float *sum, __global flo
     to[SETTLED * plane] = settled > 0;
 }
 
-// One pixel of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2 pixels, of those within
-// `near` px of a marked tile. In: all planes of the image, to_marked. Out: pyramid.
+// LAYER_TILE / 2 pixels of a row of the second level (rows, columns) of the pyramid of sheet `which`: means of 2 x 2
+// pixels, 0 farther than `near` px from a marked tile. In: all planes of the image, to_marked. Out: pyramid.
 __kernel void open_sheet(const grid_t grid, const int which, const int rows, const int columns, const int near,
                          __global const int *to_marked, __global const float *value, __global const real *coc,
-                         __global const uchar *layer,
-                         __global const uchar *sides, __global const float *mixed, __global float *pyramid) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= columns || y >= rows)
+                         __global const uchar *layer, __global const uchar *sides, __global const float *mixed,
+                         __global float *pyramid) {
+    const int begin = get_global_id(0) * LAYER_TILE / 2, y = get_global_id(1), plane = grid.width * grid.height;
+    if (begin >= columns || y >= rows)
         return;
-    const int plane = grid.width * grid.height;
-    float known = 0, settled = 0, sum[PLANES];
-    for (int c = 0; c < PLANES; ++c)
-        sum[c] = 0;
-    const bool some = to_marked[tile_of(grid, 2 * x, 2 * y)] <= near;
-    for (int row = 2 * y; row < MIN(2 * y + 2, grid.height) && some; ++row)
-        for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
-            const int at = row * grid.width + column;
-            const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
-            settled += part.settled;
-            sum[COVERAGE] += part.settled * part.share;
-            if (part.known == 0)
-                continue;
-            known += part.known;
-            for (int c = 0; c < CHANNELS; ++c)
-                sum[c] += part.light[c * plane];
-            sum[RADIUS] += part.known * (float)coc[at];
-        }
-    put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
+    const int end = MIN(begin + LAYER_TILE / 2, columns);
+    const bool some = to_marked[tile_of(grid, 2 * begin, 2 * y)] <= near;
+    for (int c = 0; c < PLANES && !some; ++c)
+        for (int x = begin; x < end; ++x)
+            pyramid[(c * rows + y) * columns + x] = 0;
+    for (int x = begin; x < end && some; ++x) {
+        float known = 0, settled = 0, sum[PLANES] = {0};
+        for (int row = 2 * y; row < MIN(2 * y + 2, grid.height); ++row)
+            for (int column = 2 * x; column < MIN(2 * x + 2, grid.width); ++column) {
+                const int at = row * grid.width + column;
+                const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
+                settled += part.settled;
+                sum[COVERAGE] += part.settled * part.share;
+                if (part.known == 0)
+                    continue;
+                known += part.known;
+                for (int c = 0; c < CHANNELS; ++c)
+                    sum[c] += part.light[c * plane];
+                sum[RADIUS] += part.known * (float)coc[at];
+            }
+        put_means(known, settled, sum, pyramid + y * columns + x, rows * columns);
+    }
 }
 
 // One pixel of the coarser level (rows, columns) per work-item: means of known pixels among 2 x 2 of the finer level
@@ -85,9 +87,7 @@ __kernel void push(const int fine_rows, const int fine_columns, const int rows, 
     const int x = get_global_id(0), y = get_global_id(1), plane = rows * columns, fine_plane = fine_rows * fine_columns;
     if (x >= columns || y >= rows)
         return;
-    float known = 0, settled = 0, sum[PLANES];
-    for (int c = 0; c < PLANES; ++c)
-        sum[c] = 0;
+    float known = 0, settled = 0, sum[PLANES] = {0};
     for (int row = 2 * y; row < MIN(2 * y + 2, fine_rows); ++row)
         for (int column = 2 * x; column < MIN(2 * x + 2, fine_columns); ++column) {
             __global const float *from = pyramid + fine + row * fine_columns + column;
@@ -148,9 +148,9 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
     __global const float *from = pyramid + coarse;
     if (to[KNOWN * plane] == 0) {
         const around_t near = around(from + KNOWN * from_plane, rows, columns, y, x, true);
+        const around_t nearest = around(from + KNOWN * from_plane, rows, columns, y, x, false);
         for (int c = 0; c < CHANNELS; ++c)
             to[c * plane] = between(from + c * from_plane, near);
-        const around_t nearest = around(from + KNOWN * from_plane, rows, columns, y, x, false);
         to[RADIUS * plane] = between(from + RADIUS * from_plane, nearest);
         to[KNOWN * plane] = near.sum > 0 ? PULLED : 0;
     }
@@ -159,32 +159,6 @@ __kernel void pull(const grid_t grid, const int fine_rows, const int fine_column
         to[COVERAGE * plane] = between(from + COVERAGE * from_plane, near);
         to[SETTLED * plane] = near.sum > 0;
     }
-}
-
-// A pixel of a sheet that another layer shows, and the pixels of the pyramid around it; shown: the pixel has its light.
-typedef struct {
-    around_t near;
-    float coverage;
-    real radius;
-    bool shown;
-} hidden_t;
-
-// alpha: of the pixel; coc: its radius, which the sheet has, too, if it is one surface with the pixel.
-static hidden_t hidden_at(part_t part, float alpha, real coc, int rows, int columns, int y, int x,
-                          __global const float *pyramid) {
-    const int plane = rows * columns;
-    const around_t near = around(pyramid + KNOWN * plane, rows, columns, y, x, true);
-    const around_t nearest = around(pyramid + KNOWN * plane, rows, columns, y, x, false);
-    hidden_t hidden = {near, part.share, between(pyramid + RADIUS * plane, nearest), part.share > 0};
-    if (!part.settled && part.whole && ABS(hidden.radius - coc) <= SAME) {
-        hidden.radius = coc;
-        hidden.coverage = alpha;
-        hidden.shown = true;
-    } else if (!part.settled) {
-        const around_t open = around(pyramid + SETTLED * plane, rows, columns, y, x, true);
-        hidden.coverage = MIN(MAX(GAIN * (between(pyramid + COVERAGE * plane, open) - 0.5f) + 0.5f, 0.0f), 1.0f);
-    }
-    return hidden;
 }
 
 // LAYER_TILE pixels of a row of sheet `which`, within `far` px of a tile that is left; what they do not show comes from
@@ -199,6 +173,8 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
     if (begin >= grid.width || y >= grid.height)
         return;
     const int end = MIN(begin + LAYER_TILE, grid.width), tile = tile_of(grid, begin, y);
+    const int coarse = rows * columns;  // size of a plane of the pyramid
+    __global const float *known = pyramid + KNOWN * coarse;
     const bool near = to_left[tile] <= far;
     for (int x = begin; x < end; ++x)
         sheet_valid[y * grid.width + x] = near;
@@ -208,18 +184,29 @@ __kernel void take_sheet(const grid_t grid, const int which, const int rows, con
         const part_t part = part_of(which, at, plane, value, layer, sides, mixed);
         float coverage = part.share;
         real radius = coc[at];
-        if (layer[at] == which)
+        bool shown = coverage > 0 || layer[at] == which;  // True if the pixel has its light
+        if (layer[at] != which) {
+            const around_t nearest = around(known, rows, columns, y, x, false);
+            const real pulled = between(pyramid + RADIUS * coarse, nearest);
+            if (!part.settled && part.whole && ABS(pulled - radius) <= FUSED) {  // it is one surface with the pixel
+                coverage = alpha_of(value, plane, at);
+                shown = true;
+            } else {
+                radius = pulled;
+                if (!part.settled) {
+                    const around_t open = around(pyramid + SETTLED * coarse, rows, columns, y, x, true);
+                    const float outline = between(pyramid + COVERAGE * coarse, open);
+                    coverage = MIN(MAX(GAIN * (outline - 0.5f) + 0.5f, 0.0f), 1.0f);
+                }
+            }
+        }
+        if (shown || coverage == 0)
             for (int c = 0; c < CHANNELS; ++c)
-                sheet[c * plane + at] = part.scale * part.light[c * plane];
+                sheet[c * plane + at] = shown ? part.scale * part.light[c * plane] : 0;
         else {
-            const float alpha = alpha_of(value, plane, at);
-            const hidden_t hidden = hidden_at(part, alpha, radius, rows, columns, y, x, pyramid);
-            coverage = hidden.coverage;
-            radius = hidden.radius;
+            const around_t near = around(known, rows, columns, y, x, true);
             for (int c = 0; c < CHANNELS; ++c)
-                sheet[c * plane + at] = coverage == 0 ? 0 :
-                                        hidden.shown ? part.scale * part.light[c * plane] :
-                                        coverage * between(pyramid + c * rows * columns, hidden.near);
+                sheet[c * plane + at] = coverage * between(pyramid + c * coarse, near);
         }
         sheet[CHANNELS * plane + at] = coverage;
         sheet[(CHANNELS + 1) * plane + at] = 1;

@@ -34,18 +34,8 @@ def write_frames(folder: Path, near: np.ndarray, far: np.ndarray) -> list[Path]:
 
 def run(folder: Path, layers: list[Path], *more: object) -> list[np.ndarray]:
     words = [word for path in layers for word in ("--layer", path)]
-    done(
-        "defocus",
-        *words,
-        "-o",
-        folder / "out_####.exr",
-        *LENS,
-        "--focus-distance",
-        "1:2m,3:4m",
-        "--frames",
-        "1:4",
-        *more,
-    )
+    track = "--focus-distance", "1:2m,3:4m", "--frames", "1:4"
+    done("defocus", *words, "-o", folder / "out_####.exr", *LENS, *track, *more)
     return [read_image(folder / f"out_{number:04d}.exr").data for number in (1, 2, 3)]
 
 

@@ -49,7 +49,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[Array, Array]]]:
 COLORS = layer("", RGB)
 OTHERS = layer("View.Normal.", RGB, "XYZ") | layer("View.DiffCol.", RGB[::-1]) | layer("View.UV.", RGB, "UVA")
 MANY = {f"L{n}.{name}": Z for n in range(5) for name in "XY"}
-BLENDER = layer("View.Combined.", np.dstack([RGB, Z > 0]), "RGBA") | {"View.Mist.Z": Z / 9} | OTHERS
+BLENDER = layer("View.Combined.", np.dstack([RGB, 0.9995 + 0 * Z]), "RGBA") | {"View.Mist.Z": Z / 9} | OTHERS
 KINDS: dict[str, Any] = {
     "Blender 4": (BLENDER | {"View.Depth.Z": Z},),
     "Blender 5": (BLENDER | {"View.Depth.V": Z},),
@@ -171,6 +171,8 @@ def test_bad_files_give_one_line(tmp_path: Path, calls: list[Any]) -> None:
         ([good, "--focus-distance", "3 parsec"], 2, "must be a length, in mm or with a unit"),
         ([good, "--focus-distance", "1:3m,3m"], 2, "like 1:3m,48:5m, or a CSV file of these; got 1:3m,3m"),
         ([good, "--focus-distance", "1:0m"], 2, "a CSV file of these; got 1:0m"),
+        ([good, "--max-blur", "nan"], 2, "'--max-blur': must be a number; got nan"),
+        ([good, "--focus-depth", "nan"], 2, "'--focus-depth': must be a number; got nan"),
         ([good, "--focus-distance", "no.csv"], 2, "a CSV file of these; got no.csv: No such file or directory"),
         ([good, "--fov", "40deg", "--sensor-width", "36mm"], 1, "must be only one of them"),
         ([good, "--layer", flat], 2, "must be IMAGE [DEPTH], or --layer"),

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, LAYER_BIN, LAYER_TILE, MIXED_AROUND
+from clsco.constants import DISCONTINUITY, DISCONTINUITY_CLASSES, FUSED, LAYER_BIN, LAYER_TILE, MIXED_AROUND, OPAQUE
 from clsco.optics.depth_layers import bins_of, layer_bounds, level_count, most_deep, reaches_of
 from clsco.plan.methods import BlurSpec
 from clsco.reference.blur.blur import prepare_sources, scatter
@@ -28,12 +28,10 @@ MASK_WIDTH = 0.6  # px, standard deviation of the Gaussian of the shares of laye
 NOISE = 5.0  # weight of the surfaces' variance against the color of a mixed pixel
 LEAST_DEVIATION = 0.02  # least standard deviation of a surface, as a share of its color
 UNEVEN = 0.1  # px, least step of the radius that changes the brightness of an even surface
-SAME = 0.25  # px; a hidden surface whose radius differs by less from that of the pixel is the pixel's own
 GAIN = 4.0  # steepness of a hidden outline
 PULLED = 1 / 64  # weight of pulled radii beside known ones, so that a slanted surface goes on where it ends
 FEWEST_TAPS = 4.8  # least taps in a quadrant of a disc
 QUADRANTS = ((-1, -1), (1, -1), (-1, 1), (1, 1))  # signs of x and y on the lens
-OPAQUE = 0.999  # least alpha of pixels whose color may be that of two surfaces
 
 
 def _bin(coc: Array, low: float, bins: int) -> Integers:
@@ -241,7 +239,7 @@ def take_sheet(
     light = np.where(visible[..., None], light, spread)
     radius = np.where(own, coc, extrapolated)
     whole = (near != layer) & (alpha >= OPAQUE)
-    same = hidden & whole & (np.abs(radius - coc) <= SAME)
+    same = hidden & whole & (np.abs(radius - coc) <= FUSED)
     light, radius = np.where(same[..., None], radiance, light), np.where(same, coc, radius)
     coverage = np.where(same, alpha, coverage)[..., None]
     return np.concatenate([light * coverage, coverage, np.ones_like(coverage)], axis=-1), radius
