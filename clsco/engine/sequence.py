@@ -38,8 +38,6 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
-
-
 def render(
     scene: SceneLike,
     *,

@@ -117,18 +117,22 @@ def work_of(scene: Scene, size: tuple[int, int], is_still: bool = False) -> floa
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_still: bool = False) -> Scene:
     """The scene with the same field of view in fewer pixels; is_still: True for one time sample, in the middle.
 
-    Columns and rows become `eighths` of `size`, unless the scene has depth maps, which have one value per pixel. Pixels
-    at silhouettes have one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row
-    has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
+    Columns and rows become `eighths` of `size`, unless the scene has depth maps, which have one value per pixel. Their
+    sources are points, which cost less and are closer to the smaller sources of full size. Pixels at silhouettes have
+    one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row has one time sample,
+    and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
-    changes: dict[str, object] = {"psf": scene.psf.model_copy(update={"silhouette_samples": 1})}
+    psf: dict[str, object] = {"silhouette_samples": 1}
+    changes: dict[str, object] = {}
     if scene.moves:
         changes["sequence"] = _preview_sequence(scene, is_still)
     if scene.is_analytic and eighths < EIGHTHS:
         columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
         pitch = scene.camera.pixel_pitch * size[0] / columns
         changes["camera"] = scene.camera.model_copy(update={"resolution": (columns, rows), "pixel_pitch": pitch})
-    return scene.model_copy(update=changes)
+        if scene.psf.edge == "integrated" and scene.psf.model != "wave" and not scene.psf.aberrated:
+            psf |= {"edge": "area", "tilt": False}
+    return scene.model_copy(update=changes | {"psf": scene.psf.model_copy(update=psf)})
 
 
 def unblurred(scene: Scene) -> Scene:

@@ -91,13 +91,10 @@ const ruler = (lens) => {
   const power = inverse(lens.focus), near = inverse(lens.near), blur = SHARP / (near - power); // px of |R| per 1/mm
   const tall = (base - top) / (TOP / 2 + 10), high = (each) => Math.max(top, base - Math.abs(each - power) * blur * tall);
   const reach = (base - top) / tall / blur, ends = [most, Math.min(most, power + reach), power, Math.max(0, power - reach), 0];
-  const v = ends.map((each) => `${at(each)} ${high(each)}`).join(" L "), middle = at(power), parts = [];
+  const v = ends.map((each) => `${at(each)} ${high(each)}`).join(" L "), middle = at(power), parts = /** @type {any[]} */ ([]);
   const text = (x, y, words, attributes = {}) => parts.push(["text", { x, y, "text-anchor": "middle", ...attributes }, words]);
   const line = (x1, y1, x2, y2, stroke, more = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...more }]);
-  parts.push(["path", { d: `M ${v} L ${at(0)} ${base} L ${at(most)} ${base} Z`, fill: "var(--soft)" }]);
-  parts.push(["path", { d: `M ${v}`, fill: "none", stroke: "var(--accent)", "stroke-opacity": 0.75 }]);
   const left = at(near), wide = Math.max(at(inverse(lens.far)) - left, 3);
-  parts.push(["rect", { x: left, y: top, width: wide, height: base - top, fill: "var(--accent)", opacity: 0.3, id: "sharp" }]);
   line(at(most), base, at(0), base, "var(--field-edge)");
   for (const [depth, isNamed] of marks(at, middle, most)) {
     const x = at(1 / depth);
@@ -114,9 +111,18 @@ const ruler = (lens) => {
     text(at(most) + 4, y - 3, `${disc} px`, { "text-anchor": "start" });
   }
   bars(parts, at, base, tight ? [10] : [10, 22], width);
-  line(middle, top - 4, middle, base, "var(--accent)", { "stroke-width": 2 });
-  parts.push(["circle", { cx: middle, cy: base + 2, r: 9, fill: "var(--accent)", stroke: "var(--panel)", "stroke-width": 2 }]);
-  one("#scale").replaceChildren(...svg(parts));
+  const [below, fixed, above] = all("#ruler svg"), key = JSON.stringify(parts);
+  below.replaceChildren(...svg([
+    ["path", { d: `M ${v} L ${at(0)} ${base} L ${at(most)} ${base} Z`, fill: "var(--soft)" }],
+    ["path", { d: `M ${v}`, fill: "none", stroke: "var(--accent)", "stroke-opacity": 0.75 }],
+    ["rect", { x: left, y: top, width: wide, height: base - top, fill: "var(--accent)", opacity: 0.3, id: "sharp" }],
+  ]));
+  if (fixed.dataset.of !== key) fixed.replaceChildren(...svg(parts)); // its texts, which take long, are not laid out with the others
+  fixed.dataset.of = key;
+  above.replaceChildren(...svg([
+    ["line", { x1: middle, y1: top - 4, x2: middle, y2: base, stroke: "var(--accent)", "stroke-width": 2 }],
+    ["circle", { cx: middle, cy: base + 2, r: 9, fill: "var(--accent)", stroke: "var(--panel)", "stroke-width": 2 }],
+  ]));
 };
 
 const bars = (parts, at, base, levels, width) => { // each object from its nearest to its farthest depth; names that collide are left out

@@ -167,7 +167,8 @@ let awaitsOver = 0, stage = { width: 0, height: 0 }; // its size, which is not a
 const over = () => { // what is drawn over the picture, once before it is shown
   awaitsOver = 0;
   const canvas = one("#over"), { width, height } = stage, context = canvas.getContext("2d");
-  [canvas.width, canvas.height] = [width, height];
+  if (canvas.width !== Math.floor(width) || canvas.height !== Math.floor(height)) [canvas.width, canvas.height] = [width, height];
+  context.clearRect(0, 0, width, height);
   for (const draw of studio.overlays) draw(context, viewport.place);
   if (viewport.scale >= NUMBERS_FROM && one("#canvas").width > 1) numbers(context, width, height);
 };
@@ -340,7 +341,7 @@ const told = (said) => {
   if (said.given) studio.values.given = said.given;
   if (said.values) valued(said.values);
   for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
-  if (said.faults) { studio.faults = said.faults; studio.mark(); }
+  if (said.faults && JSON.stringify(said.faults) !== JSON.stringify(studio.faults)) { studio.faults = said.faults; studio.mark(); }
   if (said.values || said.given) { idle(); summed(); }
   if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
@@ -354,7 +355,6 @@ const valued = (values) => {
     if (waiting.has(path) || studio.isEcho(path) || isTyped) continue; // older than what is in the box
     for (const control of sameKey(path)) give(control, value);
   }
-  summed();
 };
 
 let failing = 0;

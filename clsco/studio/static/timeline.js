@@ -1,6 +1,6 @@
 // The time line: frames, the time samples of each, playing; and the focal stack, which is a line of focus distances.
 
-import { all, made, one, studio, toggles } from "./shared.js";
+import { all, made, one, reword, studio, toggles } from "./shared.js";
 
 const KEPT = 256 * 2 ** 20; // bytes of frames that are kept for playing, and of a focal stack
 const digits = (value) => Number(value.toPrecision(6));
@@ -41,7 +41,7 @@ const line = () => {
   slider.max = frames - 1;
   slider.value = studio.index;
   slider.disabled = one("#play").disabled = frames < 2;
-  one("#time").textContent = `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`;
+  reword(one("#time"), `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`);
   one("#whole").hidden = studio.moment === null;
   studio.timed();
   for (const tick of all("#exposed button")) {
@@ -124,7 +124,7 @@ const play = (on) => {
   clearInterval(player);
   player = on ? setInterval(step, Math.max(1000 * interval, 40)) : 0;
   one("#play").setAttribute("aria-pressed", String(Boolean(player)));
-  one("#play").textContent = player ? "❚❚" : "▶";
+  reword(one("#play"), player ? "❚❚" : "▶");
 };
 
 // ---- the focal stack --------------------------------------------------------------------------------------------
