@@ -37,7 +37,7 @@ from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.pictures import EXACT
-from clsco.studio.presets import FIRST, choose_method, load_preset
+from clsco.studio.presets import FIRST, choose_method, load_preset, picture_of_copy
 from clsco.studio.preview import MEASURE, OVERVIEW, Preview
 from clsco.studio.renderer import PictureJob
 from clsco.studio.renderers import Renderers
@@ -135,9 +135,9 @@ class Studio:
         return sorted(found, key=_changed_at, reverse=True)
 
     def picture_of(self, path: Path) -> str:
-        """URL of the small picture of a scene file, or of a recoverable scene; "" if there is none."""
+        """URL of the small picture of a scene file, a copy of a preset, or a recoverable scene; "" without one."""
         name = f"{path.stem}.jpg" if path.parent == self.state.path else _shown_name(path)
-        return f"scene-picture?name={name}" if (self.state.path / name).is_file() else ""
+        return f"scene-picture?name={name}" if (self.state.path / name).is_file() else picture_of_copy(path)
 
     def keep(self) -> None:
         """Save all changed scenes for recovery, and pictures of scenes as displayed."""

@@ -147,6 +147,9 @@ def test_compared_versions_differ_by_what_they_mean_and_by_the_eye(page: Any) ->
     page.keyboard.press("e")
     page.locator("#now", has_text="now: right eye").wait_for()
     assert page.locator("#then").inner_text() == "pinned: left eye"
+    page.keyboard.press("e")
+    page.evaluate("studio.set('object.0.texture', 'siemens_star')")
+    page.locator("#now", has_text="now: Input image siemens_star").wait_for()
 
 
 def test_esc_leaves_a_box_so_that_letters_are_shortcuts(page: Any) -> None:

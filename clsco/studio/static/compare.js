@@ -50,8 +50,10 @@ const named = (values, other) => {
   const differ = (path) => meant(values, path) !== meant(other, path);
   const words = Object.entries(WORDS).filter(([path]) => differ(path)).map(([path, word]) => word(values[path]));
   if (words.length) return words.join(", ");
-  const box = all("#panels [data-kind][data-path]").find(({ dataset }) => differ(dataset.path));
-  return box ? `${box.getAttribute("aria-label")} ${brief(meant(values, box.dataset.path))}` : "";
+  const box = all("#panels [data-path]").find(({ dataset }) => differ(dataset.path)); // of text, or a check box in its label
+  if (!box || box.type === "radio") return box ? String(values[box.dataset.path]) : "";
+  const value = meant(values, box.dataset.path), name = box.getAttribute("aria-label") ?? box.closest("label")?.textContent.trim();
+  return `${name} ${value === true ? "on" : value === false ? "off" : brief(value)}`;
 };
 const tag = (place, words, detail) => {
   reword(place, detail ? `${words}: ${detail}` : words);

@@ -156,7 +156,7 @@ const placed = () => {
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
   viewport.lay(one("#wipe"));
-  if (studio.viewport === viewport) reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
+  if (studio.viewport === viewport) reword(one("#zoom"), viewport.size()[0] > 1 ? `${Math.round(scale * devicePixelRatio * 100)} %` : "");
   awaitsOver ||= requestAnimationFrame(over);
 };
 
