@@ -293,9 +293,8 @@ def _render_views(
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
-        if keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1:
-            return Renderer(session, plan, prepared, memory.limit, CachedHits(session))
-        return Renderer(session, plan, prepared, memory.limit)
+        keeps = keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1
+        return Renderer(session, plan, prepared, memory.limit, CachedHits(session) if keeps else None)
 
     def views(plans: list[Plan], index: int) -> list[Frame]:
         try:

@@ -18,7 +18,6 @@ from clsco.inputs.textures import bricks
 from clsco.resources import folder
 from clsco.scene.file import read_mapping
 from clsco.studio.session import Document
-from clsco.studio.store import digest_of
 from clsco.studio.tables import Table
 
 FIRST = "evening"  # the preset that a studio without a scene begins with
@@ -49,18 +48,11 @@ class ScenePreset:
 def presets() -> tuple[ScenePreset, ...]:
     """The examples, ordered by topic, then the figures of the thesis in order."""
     groups: dict[str, list[str]] = json.loads((PICTURES / "groups.json").read_bytes())
-    paths = sorted(_shipped("thesis").glob("*.toml"))
-    groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in paths]
+    groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in sorted(_shipped("thesis").glob("*.toml"))]
     found = [ScenePreset(name, "", group) for group, names in groups.items() for name in names]
     found = [replace(preset, title=str(read_mapping(str(preset.path), ())["title"])) for preset in found]
     titles = [preset.title for preset in found]
     return tuple(_numbered(preset) if titles.count(preset.title) > 1 else preset for preset in found)
-
-
-def picture_of_copy(path: Path) -> str:
-    """URL of the picture of the preset that a file is a copy of; "" for other files."""
-    alike = (each for each in presets() if each.path.name == path.name and digest_of(each.path) == digest_of(path))
-    return next((each.picture for each in alike), "")
 
 
 def load_preset(session: Document, name: str) -> None:

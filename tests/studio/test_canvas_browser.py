@@ -81,10 +81,6 @@ def drag(page: Any, start: tuple[float, float], end: tuple[float, float], escape
     if escape:
         page.keyboard.press("Escape")
     page.mouse.up()
-    settle(page)
-
-
-def settle(page: Any) -> None:
     page.wait_for_timeout(300)
     rest(page)
 

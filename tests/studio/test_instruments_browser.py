@@ -91,9 +91,8 @@ def test_the_histogram_counts_what_is_clipped(page: Any) -> None:
     data = codes(clsco.parse_scene(STILL))
     dark, bright = (100 * float(np.mean(data.max(-1) == code)) for code in (0, 255))
     page.wait_for_function("document.querySelector('#clipped').textContent !== ''")
-    said = page.locator("#clipped").inner_text()
-    figures = [float(word) for word in said.replace(",", "").split() if word[0].isdigit()]
-    assert figures == pytest.approx([dark, bright], rel=0.01, abs=1e-9)
+    words = page.locator("#clipped").inner_text().replace(",", "").split()
+    assert [float(word) for word in words if word[0].isdigit()] == pytest.approx([dark, bright], rel=0.01, abs=1e-9)
     page.keyboard.press("3")  # depth has none
     page.wait_for_function("document.querySelector('#histogram-part').hidden")
 

@@ -112,8 +112,7 @@ def test_coarser_scenes_have_the_same_field_of_view(eighths: int) -> None:
 def test_the_line_is_that_of_the_command(name: str, views: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.engine.probe.measure_frame", partial(measure_frame, seconds=0.0))  # the first steps
     path = EXAMPLES / f"{name}.toml"
-    prepared = prepare(clsco.load_scene(path))
-    passes, time, memory = plan_line(prepared, 0.0414).split(", ")
+    passes, time, memory = plan_line(prepare(clsco.load_scene(path)), 0.0414).split(", ")
     assert passes == "3 passes"
     assert time == "41 ms"
     printed = CliRunner().invoke(main, ["plan", str(path)], env={"COLUMNS": "200"}).output

@@ -60,7 +60,7 @@ const tag = (place, words, detail) => {
   place.hidden = false;
 };
 
-const compare = () => {
+const compare = studio.compare = () => {
   if (waits && studio.rung === RUNG.EXACT) { pin(); return; }
   const over = one("#pinned"), [then, now] = [one("#then"), one("#now")], isOn = pinned !== null;
   one("#comparing").setAttribute("aria-pressed", String(isOn || waits));
@@ -106,7 +106,6 @@ const difference = (canvas, over) => { // shown in place of the pinned frame; gi
   return count ? `at most ${largest} of 255, ${count} px` : "none";
 };
 
-studio.compare = compare;
 const ACTIONS = {
   this: pin, thesis: () => { asked = { ...studio.values }; studio.send({ do: "pin thesis" }); },
   toggle: () => { if (pinned || waits) end(); else pin(); show(); },

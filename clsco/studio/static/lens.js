@@ -149,10 +149,8 @@ const bars = (parts, at, base, levels, width) => {
 };
 
 const draw = () => {
-  const { lens } = studio;
-  if (!lens) return;
-  iris(lens);
-  ruler(lens);
+  if (studio.lens) iris(studio.lens);
+  ruler(studio.lens);
 };
 
 let scene = ""; // that the objects are of

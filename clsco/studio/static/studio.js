@@ -33,8 +33,7 @@ let socket = null;
 const GONE = 4404; // the page is of a studio that ended, or was loaded again
 let tries = 0, link = ""; // link: a scene in the address
 studio.isOpen = () => socket?.readyState === WebSocket.OPEN;
-const send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
-studio.send = send;
+const send = studio.send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
 
 // Another server may listen at the address after the studio has ended: nothing else is sent there before it has proved
 // that it knows the key of the page. Browsers offer the code only to secure pages: others are to be loaded anew by hand.
@@ -211,7 +210,7 @@ let dragged = null;
 const waiting = new Map(); // values not yet sent, by path: the latest wins
 let watched = "", flushed = 0;
 
-const flush = () => {
+const flush = studio.flush = () => {
   flushed = performance.now();
   for (const [path, [value, number]] of waiting) {
     send({ path, value, drag: number, count: studio.changes(path) });
@@ -219,13 +218,11 @@ const flush = () => {
   }
   waiting.clear();
 };
-studio.flush = flush;
 
-const put = (path, value) => {
+const put = studio.put = (path, value) => {
   if (!waiting.size) (performance.now() - flushed > FRAME ? queueMicrotask : requestAnimationFrame)(flush);
   waiting.set(path, [value, drag]);
 };
-studio.put = put;
 studio.placeOf = placeOf;
 studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
 
@@ -239,7 +236,6 @@ const valueOf = (control, isFine) => {
   }
   return control.value;
 };
-
 
 const changing = (control, isFine = false) => {
   const path = control.dataset.path, value = valueOf(control, isFine);
@@ -410,7 +406,7 @@ const controls = () => {
 };
 
 // ---- views ------------------------------------------------------------------------------------------------------
-const look = (view) => {
+const look = studio.look = (view) => {
   if (view !== studio.view) studio.rung = -1;
   studio.view = view;
   studio.badge();
@@ -419,7 +415,6 @@ const look = (view) => {
   studio.unstack();
   studio.expose();
 };
-studio.look = look;
 
 // ---- keyboard ---------------------------------------------------------------------------------------------------
 const taken = () => { // a drag of a control that is given up

@@ -24,7 +24,7 @@ studio.length = () => frames * interval;
 
 studio.wanted = () => ({ frame: studio.index, time: studio.moment, eye: studio.right ? "right" : "left" });
 
-const ask = () => {
+const ask = studio.ask = () => {
   studio.rung = -1;
   forget();
   if (studio.moment === null) one("#exposed").replaceChildren(); // those of another frame, until its own are told
@@ -32,8 +32,6 @@ const ask = () => {
   line();
   studio.badge();
 };
-
-studio.ask = ask;
 
 const line = () => {
   studio.index = Math.min(studio.index, frames - 1);
@@ -129,7 +127,7 @@ const play = (on) => {
 
 // ---- the focal stack --------------------------------------------------------------------------------------------
 let distances = [], stack = [];
-const forget = () => {
+const forget = studio.unstack = () => {
   if (!distances.length) return;
   for (const image of stack) image?.close();
   [distances, stack] = [[], []];
@@ -137,7 +135,6 @@ const forget = () => {
   studio.measure();
   turn();
 };
-studio.unstack = forget;
 
 studio.stacked = (picture, image) => {
   if (picture.revision !== studio.revision || picture.number >= distances.length) { image.close(); return; }

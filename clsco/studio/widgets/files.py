@@ -79,9 +79,8 @@ def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
         if not names:
             say("p", f"There is no scene in {root.name}.")
             return {}
-        opens = {root / name: partial(session.open, Path(name)) for name in names}
-        pictures = map(studio.picture_of, opens)
-        return {"": [Tile(*each) for each in zip(names, pictures, opens.values(), opens, strict=True)]}
+        paths = [(name, root / name) for name in names]
+        return {"": [Tile(name, studio.picture_of(path), partial(session.open, path), path) for name, path in paths]}
 
     return _tile_dialog("Open a scene", f"Search the scenes in {root.name}", tiles)
 
@@ -99,20 +98,17 @@ def _described(path: Path | None) -> tuple[str, str]:
 def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
     """A dialog with unsaved scenes of former studios; returns a function that opens it."""
 
-    def tile(path: Path) -> Tile:
-        return Tile(_kept_name(path), studio.picture_of(path), partial(session.recover, path))
-
     def tiles() -> dict[str, list[Tile]]:
-        return {"": [tile(path) for path in studio.kept_scenes()]}
+        paths = studio.kept_scenes()
+        return {"": [Tile(_kept_name(path), studio.picture_of(path), partial(session.recover, path)) for path in paths]}
 
     return _tile_dialog("Recover a scene that was not saved", "Search by title or time", tiles)
 
 
 def _kept_name(path: Path) -> str:
-    try:
+    title = "damaged"
+    with suppress(SceneError, AttributeError):
         title = str(read_kept(path)[0].get("title") or "untitled")
-    except (SceneError, AttributeError):
-        title = "damaged"
     return f"{title}, {time.strftime('%Y-%m-%d %H:%M', time.localtime(path.lstat().st_mtime))}"
 
 
@@ -146,21 +142,15 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
         dialog.open()
 
     def ask() -> None:
-        known = session.path.relative_to(session.root).as_posix() if session.path is not None else "scene.toml"
-        typed["name"] = known
+        path = session.path
+        known = typed["name"] = "scene.toml" if path is None else path.relative_to(session.root).as_posix()
         with dialog.filled():
             text_box(f"File in {session.root.name}", known, lambda name: typed.update(name=name))
             with say("div", class_="row"):
                 button("Save", lambda: save(Path(typed["name"])), class_="primary")
         dialog.open()
 
-    def at_once() -> None:
-        if session.path is None:
-            ask()
-        else:
-            save(None)
-
-    return at_once, ask
+    return lambda: ask() if session.path is None else save(None), ask
 
 
 def share_dialog(session: Document) -> Callable[[], None]:
