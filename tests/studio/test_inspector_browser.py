@@ -67,8 +67,7 @@ def test_the_response_under_the_pointer(page: Any, root: Path) -> None:
     expected = figures_of(clsco.response(scene, column, row, item=2, device="pocl"), column, row)
     assert measured == {"x": column, "y": row, "response": expected}
     assert expected["sum"] < 0.9  # behind the ball
-    text = page.locator("#psf-values").inner_text().split()
-    assert str(round(expected["sum"], 3)) in text
+    assert str(round(expected["sum"], 3)) in page.locator("#psf-values").inner_text().split()
 
 
 def test_a_click_and_enter_focus_on_what_is_there(page: Any, running: Running) -> None:

@@ -296,8 +296,12 @@ def test_results_are_listed_while_folders_of_unfinished_work_come_and_go(tmp_pat
 
 def test_nothing_is_written_elsewhere(tmp_path: Path) -> None:
     jobs = Jobs(tmp_path)
-    with pytest.raises(ClscoError, match="below the folder of the studio"):
-        generate.render_frames(Document(tmp_path), jobs, "../x")
+    for folder, rule in (
+        ("../x", "below the folder of the studio"),
+        ("x" * 300, "must be a folder that can be written"),
+    ):
+        with pytest.raises(ClscoError, match=rule):
+            generate.render_frames(Document(tmp_path), jobs, folder)
     with pytest.raises(ClscoError, match="below the folder of the studio"):
         jobs.add("x", ["render"], "../x")
     assert not jobs.listed

@@ -450,9 +450,9 @@ const keys = (event, target) => {
   if (event.ctrlKey || event.metaKey) { COMMANDS[key]?.(event); return; }
   if (key === "escape" && !taken() && !dismiss()) studio.escape();
   if (key === "escape" && target.matches?.(TYPING)) target.blur(); // from here on letters are shortcuts
-  if (event.altKey || target.closest?.(TYPING)) return;
+  if (event.altKey || target.closest?.(TYPING) || one("dialog:modal")) return;
   if (/^[1-9]$/.test(key)) one(`[data-view="${VIEWS[Number(key) - 1]}"]`).click();
-  else if (key in KEYS && !one("dialog:modal")) KEYS[key](event);
+  else if (key in KEYS) KEYS[key](event);
   else studio.extra(event);
 };
 
