@@ -38,9 +38,6 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
-GUARD_STEP = 32  # px: widths of guard bands for cached rays are rounded up to multiples of this or more
-
-
 def render(
     scene: SceneLike,
     *,
@@ -296,10 +293,8 @@ def _render_views(
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
-        if keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1:
-            wide = fit_strips(replace(plan, guard_px=_round_guard(plan.guard_px)), memory.limit)
-            return Renderer(session, wide, prepared, memory.limit, CachedHits(session))
-        return Renderer(session, plan, prepared, memory.limit)
+        keeps = keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1
+        return Renderer(session, plan, prepared, memory.limit, CachedHits(session) if keeps else None)
 
     def views(plans: list[Plan], index: int) -> list[Frame]:
         try:
@@ -315,12 +310,6 @@ def _render_views(
     memory = Shrinking(session, limit, fit, lambda plans: device_bytes(plans[0], limit.views))
     for index in numbers:
         yield memory.run(partial(views, index=index))
-
-
-def _round_guard(guard: int) -> int:
-    """Round up a guard band for cached rays to one of few widths, so that lenses with similar blur share the rays."""
-    step = max(1 << guard.bit_length() >> 2, GUARD_STEP)
-    return -(-guard // step) * step
 
 
 def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:

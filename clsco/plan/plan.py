@@ -252,6 +252,11 @@ class Plan:
         return next((k for k, item in enumerate(self.scene.objects) if item.is_background), None)
 
     @cached_property
+    def scene_buffers(self) -> Sizes:
+        """Buffers that all passes that trace share."""
+        return texture_buffers(self.scene, self.channels, self.alpha) | {"statistics": 4 * STATISTICS}
+
+    @cached_property
     def passes(self) -> tuple[Pass, ...]:
         """Passes that each time sample runs in this order; those in ONCE_A_FRAME run once per frame."""
         return _passes(self)
@@ -347,7 +352,7 @@ def _moving_passes(plan: Plan) -> Iterator[Pass]:
         return
     moved = f"every pixel of the {shapes_of(scene)} to its nearest pixel, with a depth test"
     sizes = prefix_names("warp", warp_buffers(scene, grid, plan.device))
-    yield Pass("reproject", (("pixels", moved), *frame_parameters), sizes | _scene_buffers(plan), gives=("moved",))
+    yield Pass("reproject", (("pixels", moved), *frame_parameters), sizes | plan.scene_buffers, gives=("moved",))
     kind: Kind = "fill" if plan.choices.fill.value else "count missing"
     rule = f"{scene.fill.method}, domain {scene.fill.domain}" if kind == "fill" else "pixels are counted"
     gives = (light_of(plan.spec), "counts", *(("missing",) if "missing" in plan.truth else ()))
@@ -361,7 +366,7 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
     if plan.static_map:
         yield Pass("static image", describe_pixels(*context), map_buffers(grid), gives=(light, "counts"))
     elif not plan.forward and spec.layered:
-        sizes = map_buffers(grid, plan.scene) | _scene_buffers(plan)
+        sizes = map_buffers(grid, plan.scene) | plan.scene_buffers
         yield Pass("pinhole", describe_rays(*context), sizes, gives=(light,))
     if plan.forward or plan.static_map or spec.layered:
         yield from blur_passes(spec, grid, plan.device, describe_blur(spec, choices, len(plan.groups)))
@@ -373,7 +378,7 @@ def _image_passes(plan: Plan) -> Iterator[Pass]:
 def _truth_pass(plan: Plan) -> Pass:
     sizes: Sizes = {}
     if plan.scene.is_analytic:
-        sizes = prefix_names("truth", truth_buffers(plan.device_truth, plan.grid)) | _scene_buffers(plan)
+        sizes = prefix_names("truth", truth_buffers(plan.device_truth, plan.grid)) | plan.scene_buffers
     if plan.forward:
         sizes |= prefix_names("warp", warp_buffers(plan.scene, plan.grid, plan.device))
         sizes |= prefix_names("fill", fill_sizes(plan.scene, plan.grid))
@@ -385,7 +390,7 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
     """The passes of one occlusion group; first: True for the group that begins the plane, to which the others add."""
     spec, grid, rays = plan.spec, plan.grid, describe_rays(plan.scene, plan.choices, plan.colors, plan.alpha)
     light = ("plane",) if plan.blur == "none" else ("sources",)
-    sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | _scene_buffers(plan)
+    sizes = trace_buffers(spec, grid, plan.mapped > 0, plan.scene) | plan.scene_buffers
     yield Pass("trace", rays, sizes, gives=light, group=group)
     if plan.silhouettes:
         text = f"{plan.silhouettes} x {plan.silhouettes} per pixel within 2 px of a silhouette"
@@ -396,7 +401,3 @@ def _group_passes(plan: Plan, group: OcclusionGroup, first: bool) -> Iterator[Pa
         sizes = prefix_names("blur", blur_buffers(spec, grid, plan.device))
         inputs, blur = light if first else (*light, "plane"), describe_blur(spec, plan.choices, len(plan.groups))
         yield Pass("blur", blur, sizes, inputs, ("plane",), group)
-
-
-def _scene_buffers(plan: Plan) -> Sizes:
-    return texture_buffers(plan.scene, plan.channels, plan.alpha) | {"statistics": 4 * STATISTICS}

@@ -106,8 +106,8 @@ def render_frames(
     scenes = tuple(absolute(scene, session.folder) for scene in sweep.scenes)  # the output folder may not exist yet
     jobs.require_free(name)
     prepare_sweep(replace(sweep, scenes=scenes))  # raises for too large scenes before anything is written
-    target.mkdir(parents=True, exist_ok=True)
-    atomic_write_bytes(target / "scene.toml", toml_text(sparse(moved(table, session.folder, target))).encode())
+    path = make_writable_folder(target) / "scene.toml"
+    atomic_write_bytes(path, toml_text(sparse(moved(table, session.folder, target))).encode())
     return jobs.add(str(table.get("title") or "Scene"), render_command(session, name, options), name)
 
 

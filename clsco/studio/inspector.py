@@ -51,8 +51,7 @@ def inspected(frame: Frame, scene: Scene, x: int, y: int, is_tilted: bool = Fals
     radius, depth = values.get("blur_radius"), values.get("depth")
     radius = radius[GREEN] if isinstance(radius, list) else radius
     if radius is not None:
-        lengths = scene_point_spread(scene).pupil.lengths
-        values |= {name: length * abs(radius) for name, length in lengths.items()}
+        values |= {name: length * abs(radius) for name, length in scene_point_spread(scene).pupil.lengths.items()}
     found: dict[str, Any] = {"index": frame.index, "eye": eye_of(frame), "values": values}
     whole = scene
     if scene.lens_moves:

@@ -117,18 +117,20 @@ def work_of(scene: Scene, size: tuple[int, int], is_still: bool = False) -> floa
 def coarser(scene: Scene, size: tuple[int, int], eighths: int, is_still: bool = False) -> Scene:
     """The scene with the same field of view in fewer pixels; is_still: True for one time sample, in the middle.
 
-    Columns and rows become `eighths` of `size`, unless the scene has depth maps, which have one value per pixel. Pixels
-    at silhouettes have one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row
-    has one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
+    Columns and rows become `eighths` of `size`, and sources of several objects points, which cost less and are closer
+    to the smaller ones of full size, unless the scene has depth maps, which have one value per pixel. Pixels at
+    silhouettes have one source, and there are at most MOST_SAMPLES time samples. With a rolling shutter, each row has
+    one time sample, and is exposed for at least 1 / ROLLING_SHARES of the readout.
     """
-    changes: dict[str, object] = {"psf": scene.psf.model_copy(update={"silhouette_samples": 1})}
-    if scene.moves:
-        changes["sequence"] = _preview_sequence(scene, is_still)
+    psf: dict[str, object] = {"silhouette_samples": 1}
+    changes: dict[str, object] = {"sequence": _preview_sequence(scene, is_still)} if scene.moves else {}
     if scene.is_analytic and eighths < EIGHTHS:
         columns, rows = (max(side * eighths // EIGHTHS, 1) for side in size)
         pitch = scene.camera.pixel_pitch * size[0] / columns
         changes["camera"] = scene.camera.model_copy(update={"resolution": (columns, rows), "pixel_pitch": pitch})
-    return scene.model_copy(update=changes)
+        is_plain = scene.psf.edge == "integrated" and scene.psf.model != "wave" and not scene.psf.aberrated
+        psf |= {"edge": "area", "tilt": False} if is_plain and len(scene.objects) > 1 else {}
+    return scene.model_copy(update=changes | {"psf": scene.psf.model_copy(update=psf)})
 
 
 def unblurred(scene: Scene) -> Scene:

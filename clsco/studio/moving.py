@@ -129,5 +129,4 @@ class Pointer:
         """Move the dragged object as by `Grip.value`. A whole drag is one undo step; other drags are ignored."""
         if self._held is not None and self._held[0] == drag and max(abs(across), abs(down)) <= MOST_PX:
             _, held, camera = self._held
-            value = held.value(camera, across, down, is_along)
-            self._session.patch(held.path, value, drag)
+            self._session.patch(held.path, held.value(camera, across, down, is_along), drag)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 from clsco.studio.forms import field_at
@@ -25,13 +25,9 @@ RARE = {
     "missing": ("warps", "no forward warp"), "raw": _NO_SENSOR, "noise": _NO_SENSOR,
 }  # fmt: skip
 """Views that have a meaning only for some scenes: the condition's name in the page's script, and why they have none."""
+# Texts of the page, and between them the names of its parts.
+_TEMPLATE = re.split(r"{{(.+?)}}", (Path(__file__).parent / "static" / "page.html").read_text("utf-8"))
 STOPS = ("0.7", "1", "1.4", "2", "2.8", "4", "5.6", "8", "11", "16")
-
-
-@cache
-def _template() -> list[str]:
-    """Texts of the page, and between them the names of its parts."""
-    return re.split(r"{{(.+?)}}", (Path(__file__).parent / "static" / "page.html").read_text("utf-8"))
 
 
 def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
@@ -65,7 +61,7 @@ def draw(name: str, studio: Studio, address: str) -> tuple[Page, str]:
         parts[f"{kind} label"] = partial(label, dial, text=text, for_=box, class_="quiet")
         parts[f"{kind} box"] = partial(number_box, dial, session.shown(path), box)
     with page.current():
-        for index, text in enumerate(_template()):
+        for index, text in enumerate(_TEMPLATE):
             if index % 2 == 0:
                 page.out.append(text)
             elif text.startswith("icon "):

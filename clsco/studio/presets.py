@@ -48,8 +48,7 @@ class ScenePreset:
 def presets() -> tuple[ScenePreset, ...]:
     """The examples, ordered by topic, then the figures of the thesis in order."""
     groups: dict[str, list[str]] = json.loads((PICTURES / "groups.json").read_bytes())
-    paths = sorted(_shipped("thesis").glob("*.toml"))
-    groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in paths]
+    groups[OF_THE_THESIS] = [f"thesis/{path.stem}" for path in sorted(_shipped("thesis").glob("*.toml"))]
     found = [ScenePreset(name, "", group) for group, names in groups.items() for name in names]
     found = [replace(preset, title=str(read_mapping(str(preset.path), ())["title"])) for preset in found]
     titles = [preset.title for preset in found]

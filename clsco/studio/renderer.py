@@ -299,7 +299,9 @@ class _RenderWorker:
             elif what == "inspect":
                 self._send(number, self._inspect(number, content))
             elif content.rung == DRAGGING:
-                self._coarse(number, content)
+                size = with_resolution(content.scene).camera.frame_size
+                choice = self._ladders_of(content).choose(_needed(content), size)
+                self._send(number, self._coarse_picture(content, size, *choice))
             else:
                 self._exact(number, content)
         except MemoryError:
@@ -347,10 +349,6 @@ class _RenderWorker:
                 before, since = (current, state), now
             with suppress(OSError):
                 self._send(current[0], replace(state, still=now - since))
-
-    def _coarse(self, number: int, job: PictureJob) -> None:
-        size = with_resolution(job.scene).camera.frame_size
-        self._send(number, self._coarse_picture(job, size, *self._ladders_of(job).choose(_needed(job), size)))
 
     def _coarse_picture(
         self, job: PictureJob, size: tuple[int, int], is_still: bool, eighths: int, learns: bool = True

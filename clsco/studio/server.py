@@ -37,7 +37,7 @@ from clsco.studio.lens import lens_line
 from clsco.studio.listener import listen, own_address
 from clsco.studio.moving import Pointer
 from clsco.studio.pictures import EXACT
-from clsco.studio.presets import FIRST, choose_method, load_preset
+from clsco.studio.presets import FIRST, choose_method, load_preset, presets
 from clsco.studio.preview import MEASURE, OVERVIEW, Preview
 from clsco.studio.renderer import PictureJob
 from clsco.studio.renderers import Renderers
@@ -135,9 +135,12 @@ class Studio:
         return sorted(found, key=_changed_at, reverse=True)
 
     def picture_of(self, path: Path) -> str:
-        """URL of the small picture of a scene file, or of a recoverable scene; "" if there is none."""
+        """URL of the small picture of a scene file, a copy of a preset, or a recoverable scene; "" without one."""
         name = f"{path.stem}.jpg" if path.parent == self.state.path else _shown_name(path)
-        return f"scene-picture?name={name}" if (self.state.path / name).is_file() else ""
+        if (self.state.path / name).is_file():
+            return f"scene-picture?name={name}"
+        named = (each for each in presets() if each.path.name == path.name)
+        return next((each.picture for each in named if digest_of(each.path) == digest_of(path)), "")
 
     def keep(self) -> None:
         """Save all changed scenes for recovery, and pictures of scenes as displayed."""
@@ -264,8 +267,7 @@ class Studio:
                 await preview.tell(kept=tab.session.remembered())
             case {"resume": {"scene": str(link), "file": str(file), "digest": str(digest)}, "tab": str(before)}:
                 if before not in self.tabs:  # else that tab still exists, and this page is a duplicate
-                    linked = await asyncio.to_thread(from_link, link, tab.session.readable)
-                    tab.session.resume(linked, file, digest)
+                    tab.session.resume(await asyncio.to_thread(from_link, link, tab.session.readable), file, digest)
                     await preview.tell(resumed=True)
             case {"do": "undo" | "redo" as what}:
                 getattr(tab.session, what)()

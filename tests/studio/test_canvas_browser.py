@@ -81,10 +81,6 @@ def drag(page: Any, start: tuple[float, float], end: tuple[float, float], escape
     if escape:
         page.keyboard.press("Escape")
     page.mouse.up()
-    settle(page)
-
-
-def settle(page: Any) -> None:
     page.wait_for_timeout(300)
     rest(page)
 
@@ -104,8 +100,7 @@ def test_an_object_is_dragged_with_the_pointer(page: Any) -> None:
     x, y, z = values(page, "object.0.center")
     assert (x, y) == pytest.approx((20 * step * front, 10 * step * front), rel=0.03)
     assert z == 250.0
-    scene = clsco.parse_scene(STILL).replace("object.0.center", [x, y, z])
-    becomes(page, codes(scene))
+    becomes(page, codes(clsco.parse_scene(STILL).replace("object.0.center", [x, y, z])))
     page.keyboard.press("Control+z")  # the drag was one step
     becomes(page, before)
     assert values(page, "object.0.center") == [0.0, 0.0, 250.0]
@@ -253,8 +248,7 @@ def test_the_right_eye_of_a_pair_is_seen(page: Any) -> None:
     assert page.locator("#eye").is_hidden()
     page.evaluate("studio.set('stereo.baseline', 4)")
     page.wait_for_function("!document.querySelector('#eye').hidden")
-    scene = clsco.parse_scene(STILL).replace("stereo", {"baseline": 4.0})
-    frames = clsco.render(scene, frames=[0], device="pocl")
+    frames = clsco.render(clsco.parse_scene(STILL).replace("stereo", {"baseline": 4.0}), frames=[0], device="pocl")
     left, right = (encode(frame.color, 8, "srgb").astype(int) for frame in frames)
     becomes(page, left)
     page.keyboard.press("e")

@@ -148,16 +148,17 @@ def test_a_data_set_is_made_and_survives_a_reload(page: Any) -> None:
     sheet.locator(".primary").click()
     page.locator("#message", has_text="samples: must be an integer from 1 on; got '0'").wait_for()
     sheet.get_by_label("Samples", exact=True).fill("18")
-    sheet.get_by_role("button", name="Generate 18 samples").click()
+    page.locator("#cost", has_text="time and size show once it runs").wait_for()
+    sheet.get_by_role("button", name="Generate 18 samples").dblclick()
     page.locator(".job").wait_for()
     page.reload()
     rest(page)
+    assert (page.locator(".job").count(), sheet.is_visible()) == (1, False)
+    page.locator("#generate").click()
     page.locator(".job.done").wait_for(timeout=60000)
     page.locator(".job summary").click()
-    assert page.locator(".job code").inner_text() == (
-        "clsco dataset make mine.toml -o sets/start --count 18 --shard-size 2 --seed 0 --format webdataset "
-        "--device pocl --resume --quiet"
-    )
+    words = "--count 18 --shard-size 2 --seed 0 --format webdataset --device pocl --resume --quiet"
+    assert page.locator(".job code").inner_text() == f"clsco dataset make mine.toml -o sets/start {words}"
     page.wait_for_function("document.querySelector('.job img').naturalWidth === 24")
 
 

@@ -69,8 +69,7 @@ def test_a_source_is_where_its_point_was_in_the_reference_pose() -> None:
     assert not isinstance(source, str)
     depth = float(frame.depth[18, 30])  # type: ignore[index]
     assert source == (round(30 - 11 * 20 / 0.05 / depth), round(18 + 5.5 * 20 / 0.05 / depth), 0)  # at 1.1 s
-    measured = clsco.response(scene, *source[:2], 1)
-    assert figures_of(measured, 30, 18)["centroid"] == pytest.approx([0.0, 0.0], abs=0.5)
+    assert figures_of(clsco.response(scene, *source[:2], 1), 30, 18)["centroid"] == pytest.approx([0.0, 0.0], abs=0.5)
 
 
 def test_an_overview_has_depths_of_the_objects_and_small_views() -> None:
@@ -91,8 +90,7 @@ def test_what_has_no_source_says_why() -> None:
     assert source_of(frame, scene, 0, 0) == "no surface"
     assert "psf" not in inspected(frame, scene, 0, 0)
     pair = scene_from(TABLES, BALL, stereo={"baseline": 5.0})
-    left = next(iter(clsco.render(pair)))
-    assert inspected(left, pair, 24, 20)["unmeasured"] == "not of a stereo pair"
+    assert inspected(next(iter(clsco.render(pair))), pair, 24, 20)["unmeasured"] == "not of a stereo pair"
 
 
 def test_figures_of_a_spread() -> None:

@@ -67,8 +67,7 @@ def test_the_response_under_the_pointer(page: Any, root: Path) -> None:
     expected = figures_of(clsco.response(scene, column, row, item=2, device="pocl"), column, row)
     assert measured == {"x": column, "y": row, "response": expected}
     assert expected["sum"] < 0.9  # behind the ball
-    text = page.locator("#psf-values").inner_text().split()
-    assert str(round(expected["sum"], 3)) in text
+    assert str(round(expected["sum"], 3)) in page.locator("#psf-values").inner_text().split()
 
 
 def test_a_click_and_enter_focus_on_what_is_there(page: Any, running: Running) -> None:
@@ -79,8 +78,7 @@ def test_a_click_and_enter_focus_on_what_is_there(page: Any, running: Running) -
     page.mouse.up()
     page.wait_for_function(f"Math.abs(studio.values['camera.focus_distance'] - {depth}) < 1e-3", timeout=20000)
     rest(page)
-    focus = page.evaluate("studio.values['camera.focus_distance']")
-    assert focus == pytest.approx(depth, rel=1e-6)
+    assert page.evaluate("studio.values['camera.focus_distance']") == pytest.approx(depth, rel=1e-6)
     point_at(page, PLACES[1])
     page.wait_for_function("Math.abs(latest_inspected.values.blur_radius) < 1e-3", timeout=20000)
     x = page.evaluate("latest_inspected.values.x")

@@ -42,8 +42,7 @@ for k in range(int(count)):
         file.flush()
         time.sleep(float(seconds))
         file.write(b" and done")
-    said = {"progress": "files", "done": k + 1, "total": int(count)}
-    print(json.dumps(said), file=sys.stderr, flush=True)
+    print(json.dumps({"progress": "files", "done": k + 1, "total": int(count)}), file=sys.stderr, flush=True)
 """
 
 
@@ -165,8 +164,7 @@ def test_jobs_wait_for_each_other_and_tell_how_far_they_are(tmp_path: Path, slow
         first, second, third = work(jobs, "a", 3, 0.2), work(jobs, "b", 1), work(jobs, "c", "none")
         await until(lambda: first.done == 1)
         assert [job.status for job in jobs.listed] == ["waiting", "waiting", "running"]
-        left = first.seconds_left(first.began + 1.0)
-        assert left == pytest.approx(2.0)
+        assert first.seconds_left(first.began + 1.0) == pytest.approx(2.0)
         with pytest.raises(ClscoError, match="job 1 writes to it already"):
             work(jobs, "a", 1)
         await finish(jobs)
@@ -298,8 +296,12 @@ def test_results_are_listed_while_folders_of_unfinished_work_come_and_go(tmp_pat
 
 def test_nothing_is_written_elsewhere(tmp_path: Path) -> None:
     jobs = Jobs(tmp_path)
-    with pytest.raises(ClscoError, match="below the folder of the studio"):
-        generate.render_frames(Document(tmp_path), jobs, "../x")
+    for folder, rule in (
+        ("../x", "below the folder of the studio"),
+        ("x" * 300, "must be a folder that can be written"),
+    ):
+        with pytest.raises(ClscoError, match=rule):
+            generate.render_frames(Document(tmp_path), jobs, folder)
     with pytest.raises(ClscoError, match="below the folder of the studio"):
         jobs.add("x", ["render"], "../x")
     assert not jobs.listed

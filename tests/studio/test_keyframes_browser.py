@@ -180,8 +180,7 @@ def test_views_of_a_sensor(page: Any, view: str) -> None:
     plane = frame.arrays()["raw" if view == "raw" else "noise_sigma"].astype(float)
     plane = plane.mean(axis=2) if plane.ndim == 3 else plane
     assert plane.shape == shown.shape
-    order = np.argsort(plane, axis=None)
-    tenths = [shown.ravel()[part].mean() for part in np.array_split(order, 10)]
+    tenths = [shown.ravel()[part].mean() for part in np.array_split(np.argsort(plane, axis=None), 10)]
     assert np.all(np.diff(tenths) > -2.0)
     assert tenths[-1] - tenths[0] > 60.0
     assert not page.locator("#message").is_visible()

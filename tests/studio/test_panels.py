@@ -30,8 +30,7 @@ CHECKLIST = {  # labels and values of some boxes of the five panels; tests/studi
 
 @pytest.mark.everyday
 def test_the_panels_of_the_thesis_with_its_defaults(page: Any) -> None:
-    titles = page.locator("#panels summary h2").all_inner_texts()
-    assert tuple(titles[:5]) == THESIS_TITLES
+    assert tuple(page.locator("#panels summary h2").all_inner_texts()[:5]) == THESIS_TITLES
     unfold(page, "Select Object Type")
     shapes = page.locator('[role=radiogroup][aria-label="Object type"] label, .shapes label').all_inner_texts()
     assert [text.strip() for text in shapes][:5] == list(SHAPES)

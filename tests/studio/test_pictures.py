@@ -89,8 +89,7 @@ SCENE = clsco.Scene(
 
 def test_the_panel_has_all_keys(session: Document) -> None:
     (panel,) = (panel for panel in panels(session) if panel.title == "Sensor")
-    paths = [field.path for field in panel.fields]
-    assert paths == [f"sensor.{key}" for key in clsco.Sensor.model_fields]
+    assert [field.path for field in panel.fields] == [f"sensor.{key}" for key in clsco.Sensor.model_fields]
     labels = {field.path: field.label for field in panel.fields}
     assert labels["sensor.iso"] == "ISO"
     assert (labels["sensor.seed"], labels["sensor.noise_seed"]) == ("Seed of the sensor", "Seed of the noise")

@@ -24,6 +24,7 @@ from clsco.studio.routes import Addresses
 from clsco.studio.server import Studio, Tab
 from clsco.studio.session import Document, StateFolder
 from clsco.studio.store import digest_of
+from tests.studio.browser import EXAMPLES
 from tests.studio.test_routes import Client
 
 NAMES = ("kept", "kept_one.json", "key")
@@ -83,6 +84,8 @@ def test_scenes_that_were_shown_have_pictures(tmp_path: Path, monkeypatch: pytes
     session = tab.session
     session.save(Path("scene.toml"))
     assert (session.file, session.is_saved, studio.picture_of(root / "scene.toml")) == ("scene.toml", True, "")
+    (root / "sphere.toml").write_bytes((EXAMPLES / "sphere.toml").read_bytes())
+    assert studio.picture_of(root / "sphere.toml") == "static/presets/sphere.webp"
     tab.preview = SimpleNamespace(small=(session.revision, b"saved"))  # type: ignore[assignment]
     studio.keep()
     name = studio.picture_of(root / "scene.toml").partition("=")[2]

@@ -186,10 +186,7 @@ const split = (context) => { // what fills the mask, beyond the wipe
   context.restore();
 };
 
-const outline = (context, trace) => stroked(context, "#fff", [3 / viewport.scale, 1.2 / viewport.scale], () => {
-  trace();
-  context.closePath();
-});
+const outline = (context, trace) => stroked(context, "#fff", [3 / viewport.scale, 1.2 / viewport.scale], () => { trace(); context.closePath(); });
 
 const draw = () => { frame ||= requestAnimationFrame(drawn); };
 const viewport = new Viewport(() => part("canvas"), () => [columns, rows], draw);
@@ -269,9 +266,8 @@ studio.hearing.push((said) => { if ("part" in said) setTimeout(refill); });
 
 const masked = async () => {
   const { error, runs } = await (await fetch(address("mask"))).json();
-  if (error) { say(error); return; }
-  fromRuns(runs);
-  clear(false);
+  if (error) say(error);
+  else { fromRuns(runs); clear(false); }
 };
 
 // The frame that is shown, as an image of the studio's folder; gives its name.
@@ -379,8 +375,7 @@ const stepped = (event) => { // on the canvas arrows move the brush, and Enter p
   if (by === undefined && event.key !== "Enter") return;
   event.preventDefault();
   pointer ??= [columns / 2, rows / 2];
-  const far = (event.shiftKey ? 10 : 1) / Math.min(viewport.scale, 1);
-  const from = pointer;
+  const far = (event.shiftKey ? 10 : 1) / Math.min(viewport.scale, 1), from = pointer;
   if (by !== undefined) pointer = [pointer[0] + far * by[0], pointer[1] + far * by[1]];
   if (event.key === "Enter" || event.altKey) {
     const runs = runsOf();

@@ -50,15 +50,17 @@ const named = (values, other) => {
   const differ = (path) => meant(values, path) !== meant(other, path);
   const words = Object.entries(WORDS).filter(([path]) => differ(path)).map(([path, word]) => word(values[path]));
   if (words.length) return words.join(", ");
-  const box = all("#panels [data-kind][data-path]").find(({ dataset }) => differ(dataset.path));
-  return box ? `${box.getAttribute("aria-label")} ${brief(meant(values, box.dataset.path))}` : "";
+  const box = all("#panels [data-path]").find(({ dataset }) => differ(dataset.path)); // of text, or a check box in its label
+  if (!box || box.type === "radio") return box ? String(values[box.dataset.path]) : "";
+  const value = meant(values, box.dataset.path), name = box.getAttribute("aria-label") ?? box.closest("label")?.textContent.trim();
+  return `${name} ${value === true ? "on" : value === false ? "off" : brief(value)}`;
 };
 const tag = (place, words, detail) => {
   reword(place, detail ? `${words}: ${detail}` : words);
   place.hidden = false;
 };
 
-const compare = () => {
+const compare = studio.compare = () => {
   if (waits && studio.rung === RUNG.EXACT) { pin(); return; }
   const over = one("#pinned"), [then, now] = [one("#then"), one("#now")], isOn = pinned !== null;
   one("#comparing").setAttribute("aria-pressed", String(isOn || waits));
@@ -104,7 +106,6 @@ const difference = (canvas, over) => { // shown in place of the pinned frame; gi
   return count ? `at most ${largest} of 255, ${count} px` : "none";
 };
 
-studio.compare = compare;
 const ACTIONS = {
   this: pin, thesis: () => { asked = { ...studio.values }; studio.send({ do: "pin thesis" }); },
   toggle: () => { if (pinned || waits) end(); else pin(); show(); },

@@ -138,8 +138,9 @@ const plot = (canvas, weights, seen) => { // the middle of what there is, `seen`
   context.drawImage(whole, edge, edge, seen, seen, 0, 0, canvas.width, canvas.height);
 };
 
-const pointer = () => {
+studio.begin = () => {
   const stage = one("#stage");
+  one("#measure").addEventListener("click", measure);
   stage.addEventListener("pointermove", (event) => {
     const found = studio.viewport.pixelAt(event.clientX, event.clientY);
     if (found === null || isPinned || (at !== null && at[0] === found[0] && at[1] === found[1])) return;
@@ -173,14 +174,8 @@ const steer = (event) => { // the point, by keys: false for other keys
   return true;
 };
 
+const TOOLS = { f: "focus", m: "move" };
 studio.extra = (event) => {
-  if (steer(event)) return;
-  if (event.key === "f" || event.key === "F") studio.take("focus");
-  else if (event.key === "m" || event.key === "M") studio.take("move");
-  else studio.compares(event);
-};
-
-studio.begin = () => {
-  pointer();
-  one("#measure").addEventListener("click", measure);
+  const tool = TOOLS[event.key.toLowerCase()];
+  if (!steer(event)) studio[tool ? "take" : "compares"](tool ?? event);
 };

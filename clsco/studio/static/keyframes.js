@@ -1,7 +1,7 @@
 // Keyframes as marks on lines of time: sliders of the keys' times, one upon the other, so that a mark is dragged, stepped
 // and taken back as all that has an attribute data-path.
 
-import { all, made, one, studio, toggles } from "./shared.js";
+import { all, made, one, reword, studio, toggles } from "./shared.js";
 
 const MARK = 14; // px, the width of a mark
 const NAMES = 200; // tracks that can be chosen
@@ -69,8 +69,8 @@ const choose = (path) => {
 const about = () => {
   const place = one("#keyframes-about"), fault = studio.faults[chosen];
   place.toggleAttribute("data-wrong", fault !== undefined);
-  place.textContent = fault ?? (chosen ? `keyframe ${Number(mark(chosen).dataset.number) + 1}, t = ${digits(Number(mark(chosen).value))} s`
-    : tracks.some((track) => track.times.length) ? "" : "no keyframes yet");
+  reword(place, fault ?? (chosen ? `keyframe ${Number(mark(chosen).dataset.number) + 1}, t = ${digits(Number(mark(chosen).value))} s`
+    : tracks.some((track) => track.times.length) ? "" : "no keyframes yet"));
 };
 
 // ---- the time that there is -------------------------------------------------------------------------------------

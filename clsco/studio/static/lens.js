@@ -91,13 +91,10 @@ const ruler = (lens) => {
   const power = inverse(lens.focus), near = inverse(lens.near), blur = SHARP / (near - power); // px of |R| per 1/mm
   const tall = (base - top) / (TOP / 2 + 10), high = (each) => Math.max(top, base - Math.abs(each - power) * blur * tall);
   const reach = (base - top) / tall / blur, ends = [most, Math.min(most, power + reach), power, Math.max(0, power - reach), 0];
-  const v = ends.map((each) => `${at(each)} ${high(each)}`).join(" L "), middle = at(power), parts = [];
+  const v = ends.map((each) => `${at(each)} ${high(each)}`).join(" L "), middle = at(power), parts = /** @type {any[]} */ ([]);
   const text = (x, y, words, attributes = {}) => parts.push(["text", { x, y, "text-anchor": "middle", ...attributes }, words]);
   const line = (x1, y1, x2, y2, stroke, more = {}) => parts.push(["line", { x1, y1, x2, y2, stroke, ...more }]);
-  parts.push(["path", { d: `M ${v} L ${at(0)} ${base} L ${at(most)} ${base} Z`, fill: "var(--soft)" }]);
-  parts.push(["path", { d: `M ${v}`, fill: "none", stroke: "var(--accent)", "stroke-opacity": 0.75 }]);
   const left = at(near), wide = Math.max(at(inverse(lens.far)) - left, 3);
-  parts.push(["rect", { x: left, y: top, width: wide, height: base - top, fill: "var(--accent)", opacity: 0.3, id: "sharp" }]);
   line(at(most), base, at(0), base, "var(--field-edge)");
   for (const [depth, isNamed] of marks(at, middle, most)) {
     const x = at(1 / depth);
@@ -114,21 +111,33 @@ const ruler = (lens) => {
     text(at(most) + 4, y - 3, `${disc} px`, { "text-anchor": "start" });
   }
   bars(parts, at, base, tight ? [10] : [10, 22], width);
-  line(middle, top - 4, middle, base, "var(--accent)", { "stroke-width": 2 });
-  parts.push(["circle", { cx: middle, cy: base + 2, r: 9, fill: "var(--accent)", stroke: "var(--panel)", "stroke-width": 2 }]);
-  one("#scale").replaceChildren(...svg(parts));
+  const [below, fixed, above] = all("#ruler svg"), key = JSON.stringify(parts);
+  below.replaceChildren(...svg([
+    ["path", { d: `M ${v} L ${at(0)} ${base} L ${at(most)} ${base} Z`, fill: "var(--soft)" }],
+    ["path", { d: `M ${v}`, fill: "none", stroke: "var(--accent)", "stroke-opacity": 0.75 }],
+    ["rect", { x: left, y: top, width: wide, height: base - top, fill: "var(--accent)", opacity: 0.3, id: "sharp" }],
+  ]));
+  if (fixed.dataset.of !== key) fixed.replaceChildren(...svg(parts)); // its texts, which take long, are not laid out with the others
+  fixed.dataset.of = key;
+  above.replaceChildren(...svg([
+    ["line", { x1: middle, y1: top - 4, x2: middle, y2: base, stroke: "var(--accent)", "stroke-width": 2 }],
+    ["circle", { cx: middle, cy: base + 2, r: 9, fill: "var(--accent)", stroke: "var(--panel)", "stroke-width": 2 }],
+  ]));
 };
 
-const bars = (parts, at, base, levels, width) => { // each object from its nearest to its farthest depth; names that collide are left out
-  const ends = levels.map(() => -Infinity), names = [];
-  for (const [name, near, depth, far, color] of objects) {
-    const left = at(near ? 1 / near : 0), right = at(far ? 1 / far : 0), middle = (left + right) / 2, wide = 6.4 * name.length;
-    parts.push(["rect", { x: Math.min(left, width - 14), y: base - 5, width: Math.max(6, right - left), height: 5, rx: 2, fill: color }]);
-    const x = Math.min(Math.max(middle, wide / 2 + 12), width - wide / 2 - 2), level = ends.findIndex((end) => x - wide / 2 - 14 > end);
+/** Each object from its nearest to its farthest depth; names that collide are left out, first those of long bars. */
+const bars = (parts, at, base, levels, width) => {
+  const taken = levels.map(() => /** @type {number[][]} */ ([])), names = [];
+  const ends = objects.map(([name, near, depth, far, color]) => ({ name, depth, color, left: at(near ? 1 / near : 0), right: at(far ? 1 / far : 0) }));
+  const isLong = ({ left, right }) => Number(right - left > width / 4);
+  for (const { name, depth, color, left, right } of ends.sort((a, b) => isLong(a) - isLong(b))) {
+    const middle = (left + right) / 2, half = 3.2 * name.length, x = Math.min(Math.max(middle, half + 12), width - half - 2);
+    parts.unshift(["rect", { x: Math.min(left, width - 14), y: base - 5, width: Math.max(6, right - left), height: 5, rx: 2, fill: color }]);
+    const level = taken.findIndex((others) => others.every((other) => Math.abs(x - other[0]) > half + other[1] + 14));
     if (level < 0) continue;
-    ends[level] = x + wide / 2;
+    taken[level].push([x, half]);
     parts.push(["line", { x1: middle, x2: middle, y1: levels[level] + 4, y2: base - 6, stroke: color, "stroke-dasharray": "1 3" }]);
-    parts.push(["circle", { cx: x - wide / 2 - 6, cy: levels[level] - 4, r: 3.5, fill: color }]);
+    parts.push(["circle", { cx: x - half - 6, cy: levels[level] - 4, r: 3.5, fill: color }]);
     const button = made("button", { type: "button", tabIndex: -1, title: "Focus on it", onclick: () => studio.set(FOCUS, depth ?? "inf") }, name);
     button.setAttribute("aria-label", `Focus on ${name}`);
     [button.style.left, button.style.top] = [`${x}px`, `${levels[level] - 16}px`];
@@ -140,10 +149,8 @@ const bars = (parts, at, base, levels, width) => { // each object from its neare
 };
 
 const draw = () => {
-  const { lens } = studio;
-  if (!lens) return;
-  iris(lens);
-  ruler(lens);
+  if (studio.lens) iris(studio.lens);
+  ruler(studio.lens);
 };
 
 let scene = ""; // that the objects are of

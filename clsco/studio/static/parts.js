@@ -11,9 +11,9 @@ const AFTER = { // what is waited for before an element does something, and what
 const valueOf = (element) => element.type === "checkbox" ? element.checked : element.open ?? element.value;
 
 for (const kind of /** @type {const} */ (["click", "input", "change", "toggle"])) {
-  on(kind, async (_, target) => {
+  on(kind, async (/** @type {any} */ event, target) => {
     const element = target.closest?.(`[data-on="${kind}"]`);
-    if (!element) return;
+    if (!element || (event.detail > 1 && element.matches(".primary"))) return; // a double click begins no second job
     const number = Number(element.dataset.number), value = valueOf(element);
     studio.flush();
     const after = AFTER[element.dataset.after]?.(element);

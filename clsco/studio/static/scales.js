@@ -7,7 +7,7 @@ const stop = (place) => THIRDS[Math.round(place)] ?? 2 ** (Math.round(place) / 6
 
 /** @type {Record<string, { place: (value: number) => number, value: (place: number) => number }>} */
 const SCALES = {
-  inverse: { place: (value) => -1 / value, value: (place) => -1 / Math.min(place, -1e-6) }, // dioptres, far to the right
+  inverse: { place: (value) => -1 / value, value: (place) => (place > -1e-6 ? Infinity : -1 / place) }, // dioptres, far to the right
   log: { place: Math.log10, value: (place) => 10 ** place },
   stops: { place: (value) => 6 * Math.log2(value), value: stop },
 };
@@ -17,7 +17,8 @@ export const placeOf = (slider, value) => SCALES[slider.dataset.scale]?.place(va
 /** Value of a slider at a place, rounded to what can be told apart by dragging it. */
 export const valueAt = (slider, place = Number(slider.value)) => {
   const scale = SCALES[slider.dataset.scale], step = Number(slider.dataset.step);
-  if (scale) return Number(scale.value(place).toPrecision(DRAGGED));
+  const value = scale && Number(scale.value(place).toPrecision(DRAGGED));
+  if (scale) return value === Infinity ? "inf" : value;
   return step ? Number((Math.round(place / step) * step).toPrecision(12)) : place;
 };
 

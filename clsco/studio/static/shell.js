@@ -40,7 +40,7 @@ studio.dock = (name, on = !isIn(name === "open" && innerWidth > NARROW ? "folded
   shown();
 };
 
-let most = 0; // jobs that were there
+let most = Infinity; // jobs that were there; those of before the page do not open it
 const jobs = () => { // one that has begun is brought into sight
   const rows = all("#making .job:is(.waiting, .running)");
   if (rows.length > most && !isIn("making")) studio.dock("making", true);

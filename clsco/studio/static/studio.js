@@ -33,8 +33,7 @@ let socket = null;
 const GONE = 4404; // the page is of a studio that ended, or was loaded again
 let tries = 0, link = ""; // link: a scene in the address
 studio.isOpen = () => socket?.readyState === WebSocket.OPEN;
-const send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
-studio.send = send;
+const send = studio.send = (content) => { if (studio.isOpen()) socket?.send(JSON.stringify(content)); };
 
 // Another server may listen at the address after the studio has ended: nothing else is sent there before it has proved
 // that it knows the key of the page. Browsers offer the code only to secure pages: others are to be loaded anew by hand.
@@ -156,7 +155,7 @@ const placed = () => {
     each.style.imageRendering = scale >= 1.5 ? "pixelated" : "auto";
   }
   viewport.lay(one("#wipe"));
-  if (studio.viewport === viewport) reword(one("#zoom"), `${Math.round(scale * devicePixelRatio * 100)} %`);
+  if (studio.viewport === viewport) reword(one("#zoom"), viewport.size()[0] > 1 ? `${Math.round(scale * devicePixelRatio * 100)} %` : "");
   awaitsOver ||= requestAnimationFrame(over);
 };
 
@@ -167,7 +166,8 @@ let awaitsOver = 0, stage = { width: 0, height: 0 }; // its size, which is not a
 const over = () => { // what is drawn over the picture, once before it is shown
   awaitsOver = 0;
   const canvas = one("#over"), { width, height } = stage, context = canvas.getContext("2d");
-  [canvas.width, canvas.height] = [width, height];
+  if (canvas.width !== Math.floor(width) || canvas.height !== Math.floor(height)) [canvas.width, canvas.height] = [width, height];
+  context.clearRect(0, 0, width, height);
   for (const draw of studio.overlays) draw(context, viewport.place);
   if (viewport.scale >= NUMBERS_FROM && one("#canvas").width > 1) numbers(context, width, height);
 };
@@ -210,7 +210,7 @@ let dragged = null;
 const waiting = new Map(); // values not yet sent, by path: the latest wins
 let watched = "", flushed = 0;
 
-const flush = () => {
+const flush = studio.flush = () => {
   flushed = performance.now();
   for (const [path, [value, number]] of waiting) {
     send({ path, value, drag: number, count: studio.changes(path) });
@@ -218,13 +218,11 @@ const flush = () => {
   }
   waiting.clear();
 };
-studio.flush = flush;
 
-const put = (path, value) => {
+const put = studio.put = (path, value) => {
   if (!waiting.size) (performance.now() - flushed > FRAME ? queueMicrotask : requestAnimationFrame)(flush);
   waiting.set(path, [value, drag]);
 };
-studio.put = put;
 studio.placeOf = placeOf;
 studio.set = (path, value) => { drag += 1; put(path, value); }; // as a step of undo of its own
 
@@ -238,7 +236,6 @@ const valueOf = (control, isFine) => {
   }
   return control.value;
 };
-
 
 const changing = (control, isFine = false) => {
   const path = control.dataset.path, value = valueOf(control, isFine);
@@ -340,7 +337,7 @@ const told = (said) => {
   if (said.given) studio.values.given = said.given;
   if (said.values) valued(said.values);
   for (const name of Object.keys(WITHOUT)) if (name in said) studio.values[name] = said[name];
-  if (said.faults) { studio.faults = said.faults; studio.mark(); }
+  if (said.faults && JSON.stringify(said.faults) !== JSON.stringify(studio.faults)) { studio.faults = said.faults; studio.mark(); }
   if (said.values || said.given) { idle(); summed(); }
   if (one(`[data-view="${studio.view}"]`).disabled) look("color");
   if ("undo" in said) { one("#undo").disabled = !said.undo; one("#redo").disabled = !said.redo; }
@@ -354,7 +351,6 @@ const valued = (values) => {
     if (waiting.has(path) || studio.isEcho(path) || isTyped) continue; // older than what is in the box
     for (const control of sameKey(path)) give(control, value);
   }
-  summed();
 };
 
 let failing = 0;
@@ -410,7 +406,7 @@ const controls = () => {
 };
 
 // ---- views ------------------------------------------------------------------------------------------------------
-const look = (view) => {
+const look = studio.look = (view) => {
   if (view !== studio.view) studio.rung = -1;
   studio.view = view;
   studio.badge();
@@ -419,7 +415,6 @@ const look = (view) => {
   studio.unstack();
   studio.expose();
 };
-studio.look = look;
 
 // ---- keyboard ---------------------------------------------------------------------------------------------------
 const taken = () => { // a drag of a control that is given up
@@ -455,9 +450,9 @@ const keys = (event, target) => {
   if (event.ctrlKey || event.metaKey) { COMMANDS[key]?.(event); return; }
   if (key === "escape" && !taken() && !dismiss()) studio.escape();
   if (key === "escape" && target.matches?.(TYPING)) target.blur(); // from here on letters are shortcuts
-  if (event.altKey || target.closest?.(TYPING)) return;
+  if (event.altKey || target.closest?.(TYPING) || one("dialog:modal")) return;
   if (/^[1-9]$/.test(key)) one(`[data-view="${VIEWS[Number(key) - 1]}"]`).click();
-  else if (key in KEYS && !one("dialog:modal")) KEYS[key](event);
+  else if (key in KEYS) KEYS[key](event);
   else studio.extra(event);
 };
 

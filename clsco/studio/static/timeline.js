@@ -1,6 +1,6 @@
 // The time line: frames, the time samples of each, playing; and the focal stack, which is a line of focus distances.
 
-import { all, made, one, studio, toggles } from "./shared.js";
+import { all, made, one, reword, studio, toggles } from "./shared.js";
 
 const KEPT = 256 * 2 ** 20; // bytes of frames that are kept for playing, and of a focal stack
 const digits = (value) => Number(value.toPrecision(6));
@@ -24,7 +24,7 @@ studio.length = () => frames * interval;
 
 studio.wanted = () => ({ frame: studio.index, time: studio.moment, eye: studio.right ? "right" : "left" });
 
-const ask = () => {
+const ask = studio.ask = () => {
   studio.rung = -1;
   forget();
   if (studio.moment === null) one("#exposed").replaceChildren(); // those of another frame, until its own are told
@@ -33,15 +33,13 @@ const ask = () => {
   studio.badge();
 };
 
-studio.ask = ask;
-
 const line = () => {
   studio.index = Math.min(studio.index, frames - 1);
   const slider = one("#frame");
   slider.max = frames - 1;
   slider.value = studio.index;
   slider.disabled = one("#play").disabled = frames < 2;
-  one("#time").textContent = `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`;
+  reword(one("#time"), `frame ${studio.index + 1} of ${frames}, ${studio.moment === null ? "" : "at "}t = ${digits(studio.time())} s`);
   one("#whole").hidden = studio.moment === null;
   studio.timed();
   for (const tick of all("#exposed button")) {
@@ -124,12 +122,12 @@ const play = (on) => {
   clearInterval(player);
   player = on ? setInterval(step, Math.max(1000 * interval, 40)) : 0;
   one("#play").setAttribute("aria-pressed", String(Boolean(player)));
-  one("#play").textContent = player ? "❚❚" : "▶";
+  reword(one("#play"), player ? "❚❚" : "▶");
 };
 
 // ---- the focal stack --------------------------------------------------------------------------------------------
 let distances = [], stack = [];
-const forget = () => {
+const forget = studio.unstack = () => {
   if (!distances.length) return;
   for (const image of stack) image?.close();
   [distances, stack] = [[], []];
@@ -137,7 +135,6 @@ const forget = () => {
   studio.measure();
   turn();
 };
-studio.unstack = forget;
 
 studio.stacked = (picture, image) => {
   if (picture.revision !== studio.revision || picture.number >= distances.length) { image.close(); return; }

@@ -50,8 +50,6 @@ studio.heldBy = () => { // px on the stage, and of the handle along z, by which 
   return held === null || held.along ? { across: [0, 0], along: down } : { across: [across, down], along: 0 };
 };
 
-const pulled = () => { frame ||= requestAnimationFrame(pull); };
-
 const moving = () => {
   const stage = one("#stage");
   stage.addEventListener("pointerdown", (event) => {
@@ -70,7 +68,7 @@ const moving = () => {
     if (held === null) { hover(); return; }
     held.to = pointer;
     held.along = held.rises || event.shiftKey;
-    pulled();
+    frame ||= requestAnimationFrame(pull);
     studio.viewport.changed();
     hint(held.name ?? "");
   });
@@ -114,7 +112,7 @@ studio.hearing.push((said) => {
 });
 
 // ---- exposure and gamma of the view -----------------------------------------------------------------------------
-const expose = () => {
+const expose = studio.expose = () => {
   const stops = Number(one("#exposure").value), gamma = Number(one("#gamma").value);
   const neutral = stops === 0 && gamma === 1;
   for (const part of all("#view-filter .stops > *")) part.setAttribute("slope", 2 ** stops);
@@ -124,7 +122,6 @@ const expose = () => {
   one("#shown").toggleAttribute("data-changed", !neutral);
 };
 const shows = () => studio.view === "color" || studio.view === "sharp";
-studio.expose = expose;
 
 // ---- the eyes of a stereo pair ----------------------------------------------------------------------------------
 const turn = (right) => {

@@ -43,7 +43,11 @@ export const defaults = () => all("[data-default]").map((label) => {
   return [label, boxes.map(({ dataset }, k) => [dataset.path, normal[k] ?? null])];
 });
 
-export const summed = () => { // the values of closed panels, and views that have no meaning for the scene
+let awaits = 0;
+/** Shows the values of closed panels, and which views have no meaning for the scene, soon: a drag changes much. */
+export const summed = () => { awaits ||= setTimeout(sum, 40); };
+const sum = () => {
+  awaits = 0;
   const { values } = studio, shapes = one("[data-path$='.shape']:checked")?.closest("label").textContent;
   for (const place of all("[data-brief]")) {
     const path = place.dataset.brief, value = values[path];

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from clsco.errors import SceneError
+from clsco.errors import ClscoError, SceneError
+from clsco.scene.file import read_mapping
 from clsco.studio.folder import SCENES, listed
 from clsco.studio.presets import load_preset, presets
 from clsco.studio.server import Studio
@@ -16,13 +18,16 @@ from clsco.studio.session import ConflictError, Document
 from clsco.studio.store import from_link, read_kept
 from clsco.studio.widgets.html import Dialog, button, notify, page, say, text_box
 
+_LENS = {"focal_length": "{:g} mm", "f_number": "f/{:g}"}
+
 
 class Tile(NamedTuple):
-    """A scene to choose: its name, the address of its picture, or "", and a function that goes to the scene."""
+    """A scene to choose: its name, the URL of its picture or "", a function that goes to the scene, and its file."""
 
     name: str
     picture: str
     choose: Callable[[], object]
+    path: Path | None = None
 
 
 def _tile_dialog(title: str, search: str, groups: Callable[[], Mapping[str, list[Tile]]]) -> Callable[[], None]:
@@ -55,11 +60,13 @@ def _draw_tiles(groups: Mapping[str, list[Tile]], dialog: Dialog, search: str) -
             with say("ul", class_="names tiles"):
                 for tile in tiles:
                     with say("li"), say("button", type="button", title=tile.name, click=partial(chosen, tile)):
+                        title, fact = _described(tile.path)
                         if tile.picture:
                             say("img", src=tile.picture, alt="", loading="lazy")
                         else:
-                            say("span", aria_hidden="true", class_="no-picture")
+                            say("span", title, aria_hidden="true", class_="no-picture")
                         say("span", tile.name)
+                        say("small", fact, aria_hidden="true")
     say("p", "Nothing has these words.", data_nothing="", hidden=True, role="status")
 
 
@@ -72,28 +79,36 @@ def open_dialog(session: Document, studio: Studio) -> Callable[[], None]:
         if not names:
             say("p", f"There is no scene in {root.name}.")
             return {}
-        return {"": [Tile(name, studio.picture_of(root / name), partial(session.open, Path(name))) for name in names]}
+        paths = [(name, root / name) for name in names]
+        return {"": [Tile(name, studio.picture_of(path), partial(session.open, path), path) for name, path in paths]}
 
     return _tile_dialog("Open a scene", f"Search the scenes in {root.name}", tiles)
+
+
+def _described(path: Path | None) -> tuple[str, str]:
+    """Title of a scene file, and its lens and number of objects in words; both are empty without a file of a scene."""
+    with suppress(ClscoError, AttributeError, LookupError, TypeError):
+        table = read_mapping(str(path), ())
+        count, camera = len(table["object"]), table.get("camera", {})
+        words = [text.format(camera[key]) for key, text in _LENS.items() if isinstance(camera.get(key), int | float)]
+        return str(table.get("title", "")), ", ".join([*words, f"{count} object{'s' if count > 1 else ''}"])
+    return "", ""
 
 
 def recover_dialog(session: Document, studio: Studio) -> Callable[[], None]:
     """A dialog with unsaved scenes of former studios; returns a function that opens it."""
 
-    def tile(path: Path) -> Tile:
-        return Tile(_kept_name(path), studio.picture_of(path), partial(session.recover, path))
-
     def tiles() -> dict[str, list[Tile]]:
-        return {"": [tile(path) for path in studio.kept_scenes()]}
+        paths = studio.kept_scenes()
+        return {"": [Tile(_kept_name(path), studio.picture_of(path), partial(session.recover, path)) for path in paths]}
 
     return _tile_dialog("Recover a scene that was not saved", "Search by title or time", tiles)
 
 
 def _kept_name(path: Path) -> str:
-    try:
+    title = "damaged"
+    with suppress(SceneError, AttributeError):
         title = str(read_kept(path)[0].get("title") or "untitled")
-    except (SceneError, AttributeError):
-        title = "damaged"
     return f"{title}, {time.strftime('%Y-%m-%d %H:%M', time.localtime(path.lstat().st_mtime))}"
 
 
@@ -127,21 +142,15 @@ def save_dialog(session: Document) -> tuple[Callable[[], None], Callable[[], Non
         dialog.open()
 
     def ask() -> None:
-        known = session.path.relative_to(session.root).as_posix() if session.path is not None else "scene.toml"
-        typed["name"] = known
+        path = session.path
+        known = typed["name"] = "scene.toml" if path is None else path.relative_to(session.root).as_posix()
         with dialog.filled():
             text_box(f"File in {session.root.name}", known, lambda name: typed.update(name=name))
             with say("div", class_="row"):
                 button("Save", lambda: save(Path(typed["name"])), class_="primary")
         dialog.open()
 
-    def at_once() -> None:
-        if session.path is None:
-            ask()
-        else:
-            save(None)
-
-    return at_once, ask
+    return lambda: ask() if session.path is None else save(None), ask
 
 
 def share_dialog(session: Document) -> Callable[[], None]:
@@ -177,6 +186,6 @@ def preset_dialog(session: Document) -> Callable[[], None]:
     """A dialog with the examples and the figures of the thesis; returns a function that opens it."""
     groups: dict[str, list[Tile]] = {}
     for each in presets():
-        tile = Tile(each.title, each.picture, partial(load_preset, session, each.name))
+        tile = Tile(each.title, each.picture, partial(load_preset, session, each.name), each.path)
         groups.setdefault(each.group, []).append(tile)
     return _tile_dialog("Presets", "Search examples and figures", lambda: groups)

@@ -77,8 +77,7 @@ class Painting:
         notify(f"Wrote {self._typed['mask']}")
 
     def _save(self) -> None:
-        names = self._inpainting.save(self._typed["folder"])
-        notify(f"Wrote {', '.join(names)} to {self._typed['folder']}")
+        notify(f"Wrote {', '.join(self._inpainting.save(self._typed['folder']))} to {self._typed['folder']}")
 
     def _fill(self, *methods: str) -> None:
         """Fill by those of the methods that have no result of this mask, one after the other."""

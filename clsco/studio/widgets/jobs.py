@@ -153,7 +153,7 @@ class GenerateForm:
         answers, labels = self._answers, self._session.state.labels
         with suppress(ClscoError):
             if self._is_set:
-                return f"{_whole(answers['count'], 'samples')} samples", 0, ""
+                return f"{_whole(answers['count'], 'samples')} samples", 0, "time and size show once it runs"
             scene = with_resolution(self._session.scene)
             scenes = _whole(answers["steps"], "steps") if answers["kind"] == "stack" else len(labels)
             count, (columns, rows) = scenes * scene.sequence.frames, scene.camera.frame_size

@@ -71,7 +71,10 @@ def draw_panels(session: Document, now: Chosen) -> None:
         now.open = title
         area.refresh()
 
-    objects = PagePart(lambda: object_list(session, now.index, choose), partial(_names, session, now))
+    def names() -> Any:
+        return now.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
+
+    objects = PagePart(lambda: object_list(session, now.index, choose), names)
     method = PagePart(partial(_method, session), partial(is_as_the_thesis, session))
     area = PagePart(draw, partial(_form, session, now))
 
@@ -90,10 +93,6 @@ def draw_panels(session: Document, now: Chosen) -> None:
     objects()
     area()
     page().endings.append(session.subscribe(changed))
-
-
-def _names(session: Document, chosen: Chosen) -> Any:
-    return chosen.index, [(item["shape"], item.get("name")) for item in session.table["object"]]
 
 
 def _form(session: Document, chosen: Chosen) -> Any:
