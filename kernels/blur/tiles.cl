@@ -7,7 +7,6 @@
 // chunk, and stores it in local memory if it reaches the tile; then each adds, in the order of the sources, those that
 // reach its own pixel: the same bits in every run, without atomics. Sources have no occluders here.
 
-#include "common/geometry.clh"
 #include "common/sources.clh"
 #include "common/source_visibility.clh"
 

@@ -3,7 +3,6 @@
 // Outputs are those with `by_rays` in clsco/frame/outputs.py, in its order, each null if not requested: one program
 // makes any.
 
-#include "common/geometry.clh"
 #include "trace/texture.clh"
 
 // Image position of a hit in the pose `other`: column, row, and the hit's depth there over its depth here.
