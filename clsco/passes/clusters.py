@@ -73,9 +73,7 @@ class Layers:
     to_plain: cl.Buffer
 
 
-def layered_program(
-    session: Session, channels: int, real: Real, alpha: bool = False, cells: int = 1
-) -> Target:  # fmt: skip
+def layered_program(session: Session, channels: int, real: Real, alpha: bool = False, cells: int = 1) -> Target:
     """Target with the kernels of layered occlusion, for images of `channels` channels, the last of which may be alpha.
 
     The kernels have a program of their own, because they depend on few features.

@@ -79,8 +79,7 @@ class DepthLayers:
         if several:
             args = (job.grid, np.int32(self.outer.pitch), np.int32(self.outer.pad), layers.marked)
             out = (self.light, self.room, plane.buffer)
-            rows = tiles_of(job.grid)[0], self.outer.size[1]
-            self.target.run("put_layers", rows, TILES, job.events, *args, *out)
+            self.target.run("put_layers", (tiles_of(job.grid)[0], self.outer.size[1]), TILES, job.events, *args, *out)
         return plane
 
     def _begin(self, job: Job, behind: dict[str, Any]) -> None:
@@ -121,5 +120,4 @@ class DepthLayers:
         inner.resolve(job.events)
         args = (job.grid, *inner.layout, sheet.left, sheet.needed, self.room, self.light, sheet.still_left)
         args += (sheet.image.maps[0],) if by_quadrants else ()
-        rows = tiles_of(job.grid)[0], inner.size[1]
-        self.target.run("composite", rows, TILES, job.events, *args)
+        self.target.run("composite", (tiles_of(job.grid)[0], inner.size[1]), TILES, job.events, *args)
