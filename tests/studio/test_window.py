@@ -154,12 +154,11 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     page.get_by_label("Into the folder").fill("long")
     page.get_by_role("button", name="Generate 3000 frames").click()
     job = page.locator(".job.running:has-text('long')")
-    job.locator("progress").wait_for(timeout=30000)
     page.wait_for_function("document.querySelector('.job.running progress').value > 0", timeout=60000)
     page.reload()
+    page.locator("#generate").click()
     job.locator("progress").wait_for(timeout=20000)  # it is there again, and how far it is
-    cancel = page.get_by_role("button", name="Cancel job")
-    cancel.focus()
+    (cancel := page.get_by_role("button", name="Cancel job")).focus()
     before = page.locator(".job.running progress").evaluate("bar => bar.value")
     page.wait_for_function(f"document.querySelector('.job.running progress').value > {before}", timeout=20000)
     assert cancel.evaluate("button => button === document.activeElement")  # what is pressed stays as the job gets on
@@ -179,6 +178,7 @@ def test_jobs_go_on_without_their_page_and_previews_do_not(page: Any, running: R
     assert len(list((root / "long").glob("*.png"))) > done
     again = origin.new_page()
     again.goto(running.page + "/")
+    again.locator("#generate").click()
     again.locator(".job.running:has-text('long')").get_by_role("button", name="Cancel job").click()
     rest(again)
     again.locator(".job.canceled:has-text('long')").wait_for(timeout=20000)
