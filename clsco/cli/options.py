@@ -241,7 +241,7 @@ _MEMORY = option(
 _TOLERANCE = option(
     "--tolerance", "E",
     "Take the fewest time samples and silhouette samples whose estimated RMS error is at most E of white.",
-    NumberRange(min=0.0, min_open=True),
+    click.FloatRange(min=0.0, min_open=True),
 )  # fmt: skip
 
 

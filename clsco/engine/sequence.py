@@ -38,6 +38,9 @@ class Options(TypedDict, total=False):
     memory: str | int | None
 
 
+GUARD_STEP = 32  # px: widths of guard bands for cached rays are rounded up to multiples of this or more
+
+
 def render(
     scene: SceneLike,
     *,
@@ -293,8 +296,10 @@ def _render_views(
     renderers: list[Renderer] = []
 
     def renderer(plan: Plan) -> Renderer:
-        keeps = keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1
-        return Renderer(session, plan, prepared, memory.limit, CachedHits(session) if keeps else None)
+        if keeps_rays and casts_for_lenses(plan) and len(plan.strips) == 1:
+            wide = fit_strips(with_guard(plan, _round_guard(plan.guard_px)), memory.limit)
+            return Renderer(session, wide, prepared, memory.limit, CachedHits(session))
+        return Renderer(session, plan, prepared, memory.limit)
 
     def views(plans: list[Plan], index: int) -> list[Frame]:
         try:
@@ -312,6 +317,17 @@ def _render_views(
         yield memory.run(partial(views, index=index))
 
 
+def _round_guard(guard: int) -> int:
+    """Round up a guard band for cached rays to one of few widths, so that lenses with similar blur share the rays."""
+    step = max(1 << guard.bit_length() >> 2, GUARD_STEP)
+    return -(-guard // step) * step
+
+
+def with_guard(plan: Plan, guard: int) -> Plan:
+    """The plan with a guard band of `guard` px, a width that other plans share; the added pixels have no sources."""
+    return replace(plan, guard_px=guard, spare_px=guard - plan.guard_px)
+
+
 def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[list[Plan]]:
     """Plans of lenses that share their rays, widened to one guard band: for each view, the plans of all lenses. Empty
     if the lenses cannot share rays, or their buffers do not fit. plans: for each lens, the plans of its views.
@@ -322,7 +338,7 @@ def _lockstep_plans(plans: Sequence[tuple[Plan, ...]], limit: Limit) -> list[lis
     plans_by_eye = []
     for lens_plans in zip(*plans, strict=True):
         guard = max(plan.guard_px for plan in lens_plans)
-        widened = [replace(plan, guard_px=guard) for plan in lens_plans]
+        widened = [with_guard(plan, guard) for plan in lens_plans]
         if lens_bytes(widened) * limit.views > limit.total:
             return []
         if any(fit_strips(plan, limit).strip_rows < plan.rows for plan in widened):

@@ -36,9 +36,7 @@ Events: TypeAlias = list[tuple[str, cl.Event]]  # names of kernels, and the even
 BUILTINS, POCL_DECLARATIONS, WITHOUT_HEADER = "common/builtins.clh", "common/cpu/pocl.clh", "-D_OPENCL_H_"
 
 
-def build(
-    session: Session, source: str, features: Mapping[str, int | bool], structs: Structs, real: Real
-) -> Kernels:  # fmt: skip
+def build(session: Session, source: str, features: Mapping[str, int | bool], structs: Structs, real: Real) -> Kernels:
     """Build a kernel file with all that it includes; equal requests share kernels, even if files have changed since.
 
     source: name of a file in kernels/, such as "trace/cast.cl". features: small integers or bools by names from
@@ -156,9 +154,7 @@ class Target:
     features: as for `build`; real: precision of the geometry.
     """
 
-    def __init__(
-        self, session: Session, files: Sequence[str], features: Mapping[str, int | bool], real: Real
-    ) -> None:  # fmt: skip
+    def __init__(self, session: Session, files: Sequence[str], features: Mapping[str, int | bool], real: Real) -> None:
         self.session, self.real = session, real
         self._kernels: Kernels = {}
         self._builds = {

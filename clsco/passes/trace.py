@@ -141,9 +141,10 @@ class Tracer:
             planes = self.hits.planes(sizes, self._key(job, group), lambda planes: self._cast(job, group, planes))
         value, depth, label = planes
         source = buffers.get("source")
-        out = (source, buffers["statistics"], self.extents, value, self.scene.texture_maps, buffers.get("share"))
+        out = (source, buffers["statistics"], self.extents, np.int32(plan.spare_px))
+        maps = (value, self.scene.texture_maps, buffers.get("share"))
         bends = self._bends(job, "slopes", "bends")
-        self._per_pixel("aim", job, *head, depth, label, *out, *bends)
+        self._per_pixel("aim", job, *head, depth, label, *out, *maps, *bends)
         occluders: dict[str, Any] = {}
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}

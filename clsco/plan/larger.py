@@ -69,4 +69,5 @@ def widen_plan(plan: Plan, smallest: float, largest: float) -> Plan:
         raise SceneError(f"camera: the blur radius must be at most {LARGEST_BLUR:g} px; got {largest:.4g} px")
     guard = max(plan.guard_px, guard_band(plan.psf, plan.scene.psf.border, largest))
     psf, spreads = plan.psf.between(-inf, inf), tuple(spread.between(-inf, inf) for spread in plan.spreads)
-    return replace(plan, psf=psf, spreads=spreads, smallest_blur=smallest, largest_blur=largest, guard_px=guard)
+    plan = replace(plan, psf=psf, spreads=spreads, guard_px=guard, spare_px=0)
+    return replace(plan, smallest_blur=smallest, largest_blur=largest)

@@ -64,7 +64,7 @@ class Plan:
     channels: int  # 1 or 3, and one more with `alpha`
     rows: int
     columns: int
-    guard_px: int  # width of the guard band around the frame
+    guard_px: int  # width of the guard band around the frame, of which the outer `spare_px` have no sources
     smallest_blur: float  # predicted range of |R| in px over the whole sequence, with a margin
     largest_blur: float
     choices: Choices
@@ -75,6 +75,7 @@ class Plan:
     alpha: bool = False  # True if the last channel is coverage
     strip_rows: int = 0  # rows of the tallest strip, 0 for all rows of the frame
     extents: tuple[Extent, ...] = ()  # extents of objects within which `groups` are valid; empty if always valid
+    spare_px: int = 0  # width by which the guard band is wider than needed, to share rays with other plans
     small: bool = False  # True if an object may be so narrow that it needs its own slots of sub-pixel sources
 
     @cached_property

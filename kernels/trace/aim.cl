@@ -1,5 +1,5 @@
-// Makes sources of the hits of `cast` for a lens. Planes as in cast.cl. Twin: clsco/reference/trace/trace.py. Host:
-// clsco/passes/trace.py, for all scenes of analytic surfaces.
+// Makes sources of the hits of `cast` for a lens. Planes: cast.cl. Twin: clsco/reference/trace/trace.py. Host:
+// clsco/passes/trace.py.
 
 #include "trace/record.clh"
 #include "trace/small.clh"
@@ -25,19 +25,21 @@ static int detail_of(__constant texture_map_t *map, float texels, real radius) {
 }
 
 // Makes the sources of all hits for one lens. In: depth, label, and with textures on surfaces value, from `cast`;
-// extents, as predicted for each object. Out: source, a null pointer if the blur needs none; statistics; with textures
-// on surfaces share; the bit EDGE of labels.
+// extents, as predicted for each object; spare: outer px of the guard band, without sources. Out: source, null if the
+// blur needs none; statistics; with textures on surfaces share; the bit EDGE of labels.
 __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
-                  __global int *statistics, __constant real *extents, __global const float *value,
-                  __constant texture_map_t *maps, __global float *share OF_SLOPES OF_BENDS) {
+                  __global int *statistics, __constant real *extents, const int spare,
+                  __global const float *value, __constant texture_map_t *maps,
+                  __global float *share OF_SLOPES OF_BENDS) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
-    const int at = y * grid.width + x;
-    const real3 ray = KEPT_RAY(grid, at, FRAME_ROW(grid, y), x - grid.guard);
+    const int at = y * grid.width + x, row = FRAME_ROW(grid, y), column = x - grid.guard, far = grid.guard - spare;
+    const real3 ray = KEPT_RAY(grid, at, row, column);
     const bend_t bend = KEPT_BEND(grid, lens, at, ray);
-    const uchar hit = label[at] & ~EDGE;
+    const bool needed = row >= -far && row < grid.frame_rows + far && column >= -far && column < grid.columns + far;
+    const uchar hit = needed ? label[at] & ~EDGE : 0;
     uchar root = hit;
     float4 record = source_record(grid, lens, surfaces, group, psf, ray, bend, depth[at], ray, bend, depth[at], 0,
                                   false, &root, statistics);
@@ -52,14 +54,14 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     }
 #endif
 #if SMALL && SUBPIXELS
-    const ulong small = small_members(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard);
-    if (small || is_hidden_by_small(grid, surfaces, group, FRAME_ROW(grid, y), x - grid.guard, hit ? depth[at] : 0))
+    const ulong small = needed ? small_members(grid, surfaces, group, row, column) : 0;
+    if (small || (needed && is_hidden_by_small(grid, surfaces, group, row, column, hit ? depth[at] : 0)))
         record.w = as_float(SMALL_WITHIN - (int)popcount(small));
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);
     if (SEVERAL && hit && is_beyond(extents + 6 * ((hit - 1) / 2), ray, depth[at]))
         atomic_max(statistics + STATISTIC_BEYOND, 1);
-    if (SUBPIXELS * OCCLUDED > 0)
+    if (SUBPIXELS * OCCLUDED > 0 && needed)
         label[at] = root;
 }

@@ -1,5 +1,4 @@
-// Finds the pixels at silhouettes, and what is seen in the cells of each. Planes as in cast.cl. Twin:
-// clsco/reference/trace/trace.py. Host: clsco/passes/trace.py, for scenes with sub-pixel sources.
+// Pixels at silhouettes, and what their cells see. Planes, twin and host: cast.cl, for scenes with sub-pixel sources.
 
 #include "common/sources.clh"
 #include "trace/small.clh"

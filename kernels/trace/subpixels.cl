@@ -1,5 +1,4 @@
-// Makes the sub-pixel sources of pixels that silhouettes.cl has marked. Planes as in cast.cl. Twin:
-// clsco/reference/trace/trace.py. Host: clsco/passes/trace.py, for scenes with sub-pixel sources.
+// Makes the sub-pixel sources of pixels that silhouettes.cl has marked. Planes, twin and host: cast.cl.
 
 #include "trace/record.clh"
 #include "trace/small.clh"

@@ -24,7 +24,7 @@ Array = NDArray[Any]
 AROUND = 4096  # numbers before and after those of a plane
 DEFAULTS: dict[str, Any] = {
     "part_rows": 0, "start": 0, "budget": cl.cltypes.make_int2(0, 0), "position": None,  # type: ignore[attr-defined]
-    "scratch": None, "scratch_size": 0, "ends": None,
+    "scratch": None, "scratch_size": 0, "ends": None, "spare": 0,
     **dict.fromkeys(("maps", "share", "object", "seen", "bounds")),
     "extents": np.tile([-np.inf, np.inf], 3 * 64),  # of objects that may be anywhere
 }  # fmt: skip
