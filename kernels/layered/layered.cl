@@ -278,8 +278,8 @@ __kernel void measure_tiles(const int rows, const int columns, const int far, co
     distance[y * columns + x] = least;
 }
 
-// Discards the sources that do not reach a tile `distance` px away, LAYER_TILE of a row at a time; sign: of the radii of
-// sources to keep, 0 for any. In: coc, distance. In and out: source.
+// Discards the sources that do not reach a tile `distance` px away, LAYER_TILE of a row at a time; sign: of the radii
+// of sources to keep, 0 for any. In: coc, distance. In and out: source.
 __kernel void keep_sources(const grid_t grid, const real2 spread, const int sign, __global const real *coc,
                            __global const int *distance, __global float *source) {
     const int begin = get_global_id(0) * LAYER_TILE, y = get_global_id(1), row = y * grid.width;
