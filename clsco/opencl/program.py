@@ -162,7 +162,7 @@ class Target:
             for file in files
             for name in source_text.kernel_names(Path(str(folder("kernels"))), file)
         }
-        session.offered.update((name, real, *features.items()) for name in self._builds)
+        session.offered.update((name, real, *features.values()) for name in self._builds)
 
     def __getitem__(self, name: str) -> cl.Kernel:
         if name not in self._kernels:
