@@ -127,15 +127,15 @@ const ruler = (lens) => {
 
 /** Each object from its nearest to its farthest depth; names that collide are left out, first those of long bars. */
 const bars = (parts, at, base, levels, width) => {
-  const taken = levels.map(() => /** @type {number[][]} */ ([])), names = [];
+  const occupied = levels.map(() => /** @type {number[][]} */ ([])), names = [];
   const ends = objects.map(([name, near, depth, far, color]) => ({ name, depth, color, left: at(near ? 1 / near : 0), right: at(far ? 1 / far : 0) }));
   const isLong = ({ left, right }) => Number(right - left > width / 4);
   for (const { name, depth, color, left, right } of ends.sort((a, b) => isLong(a) - isLong(b))) {
     const middle = (left + right) / 2, half = 3.2 * name.length, x = Math.min(Math.max(middle, half + 12), width - half - 2);
     parts.unshift(["rect", { x: Math.min(left, width - 14), y: base - 5, width: Math.max(6, right - left), height: 5, rx: 2, fill: color }]);
-    const level = taken.findIndex((others) => others.every((other) => Math.abs(x - other[0]) > half + other[1] + 14));
+    const level = occupied.findIndex((others) => others.every((other) => Math.abs(x - other[0]) > half + other[1] + 14));
     if (level < 0) continue;
-    taken[level].push([x, half]);
+    occupied[level].push([x, half]);
     parts.push(["line", { x1: middle, x2: middle, y1: levels[level] + 4, y2: base - 6, stroke: color, "stroke-dasharray": "1 3" }]);
     parts.push(["circle", { cx: x - half - 6, cy: levels[level] - 4, r: 3.5, fill: color }]);
     const button = made("button", { type: "button", tabIndex: -1, title: "Focus on it", onclick: () => studio.set(FOCUS, depth ?? "inf") }, name);

@@ -55,8 +55,8 @@ export class Viewport {
 
   pan(x, y) { // as far as some of the image stays in sight
     const { width, height } = this.box(), [columns, rows] = this.size();
-    const kept = (at, count, room) => Math.min(Math.max(at, MARGIN - this.scale * count), room - MARGIN);
-    [this.left, this.top, this.fitted] = [kept(this.left + x, columns, width), kept(this.top + y, rows, height), false];
+    const clamped = (at, count, room) => Math.min(Math.max(at, MARGIN - this.scale * count), room - MARGIN);
+    [this.left, this.top, this.fitted] = [clamped(this.left + x, columns, width), clamped(this.top + y, rows, height), false];
     this.changed();
   }
 
