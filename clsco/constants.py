@@ -12,6 +12,7 @@ STATISTIC_LARGEST = 0
 STATISTIC_SMALLEST = 1
 STATISTIC_SLOTS = 2
 STATISTIC_BEYOND = 3  # 1 if an object was hit outside of its predicted extent
+CHANGE_TILE = 16  # px; tiles of the map of sources that change during an exposure (clsco/optics/still.py)
 NARROW_IMAGE = 4  # px; a surface whose image is narrower counts as small (kernels/trace/small.clh)
 
 # Bits of the feature CURVED (kernels/common/geometry.clh).

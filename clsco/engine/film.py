@@ -18,6 +18,9 @@ from clsco.passes.blur import Plane
 from clsco.plan.plan import Plan
 
 if TYPE_CHECKING:
+    import pyopencl as cl
+
+    from clsco.optics.visibility import OcclusionGroup
     from clsco.passes.sensor import Codes
 
 NOTHING_MISSING = {"missing_pixels": 0, "filled_pixels": 0, "unfilled_pixels": 0, "sweeps": 0}
@@ -35,7 +38,11 @@ class Film:
         # Weight (samples, lines) of each time sample's blurred plane in each row of the frame, or in each column if
         # columns are exposed in turn; the frame is the weighted sum of the planes.
         self.weights = exposure.line_weights(lines)
-        self.shares = exposure.weights.reshape(len(self.times), -1).mean(axis=1).tolist()
+        self.samples = len(self.times)
+        if plan.splits_still:  # after all time samples, the still sources follow as one more
+            self.times.append(self.times[0])
+            self.weights = np.concatenate([self.weights, self.weights.sum(axis=0, keepdims=True)])
+        self.shares = exposure.weights.reshape(self.samples, -1).mean(axis=1).tolist()
         # For each strip, the part of the strip that each time sample renders, by the number of the time sample; time
         # samples that do not affect the strip are absent.
         self.strip_parts: dict[Strip, dict[int, Strip]] = {}
@@ -46,11 +53,12 @@ class Film:
         planes = 0 if plan.sensor_model is None else len(plan.sensor_model.filters)
         self.code = np.empty((*shape, planes), np.uint16)
         self.saturated = np.empty((*shape, planes), np.bool_)
-        self.subframes = np.empty((len(self.times) if "subframes" in plan.truth else 0, *image), np.float32)
+        self.subframes = np.empty((self.samples if "subframes" in plan.truth else 0, *image), np.float32)
         self.missing = np.zeros(shape, np.bool_)  # True if missing at any time sample, whether filled or not
         # Bounds of the depth layers by number of the time sample, if they were computed from all strips.
         self.bounds: dict[int, tuple[tuple[int, ...], ...] | None] = {}
         self.events: Events = []
+        self.changes: dict[OcclusionGroup, tuple[cl.Buffer, bool]] = {}  # maps of changes, and if any source may change
         self.reports: dict[int, dict[str, Any]] = {}  # by number of the time sample
         self.began = perf_counter()
         self._planes: list[tuple[Plane, NDArray[np.float32]]] = []
@@ -61,12 +69,11 @@ class Film:
         """Add the outputs of a time sample's passes for a strip. number: number of the time sample; outputs: named as
         in `Pass`.
         """
-        report = (
-            {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING | outputs.get("counts", {})
-        )
-        self.reports[number] = report
+        if number < self.samples:
+            report = {"time": self.times[number], "weight": self.shares[number]} | NOTHING_MISSING
+            self.reports[number] = report | outputs.get("counts", {})
         if "depth_layers" in outputs:
-            report["depth_layers"] = outputs["depth_layers"]
+            self.reports[number]["depth_layers"] = outputs["depth_layers"]
         if "missing" in outputs:
             self.missing |= outputs["missing"]
         if "plane" not in outputs:

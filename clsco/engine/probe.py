@@ -28,12 +28,14 @@ GOLDEN = 0.618034  # multiples of this number modulo 1 are spread evenly
 class _FramePart:
     """A step of a measurement: time sample `number` on a strip, of which it renders `part`.
 
-    last: True for the last step of the strip, whose result also goes through the passes in `ONCE_A_FRAME`.
+    still: True for the still sources that follow all time samples. last: True for the last step of the strip, whose
+    result also goes through the passes in `ONCE_A_FRAME`.
     """
 
     strip: Strip
     number: int
     part: Strip
+    still: bool
     last: bool
 
 
@@ -82,7 +84,10 @@ def _measure_view(session: Session, prepared: Prepared, plan: Plan, seconds: flo
         if not renderer.enlarge():
             break
     all_steps = _steps(Film(strip_plan, index))
-    seconds_by_kind = {kind: time * _rows(all_steps, kind) / _rows(steps, kind) for kind, time in spent.items()}
+    seconds_by_kind = dict[Kind, float]()
+    for (kind, still), time in spent.items():
+        scale = _rows(all_steps, kind, still) / _rows(steps, kind, still)
+        seconds_by_kind[kind] = seconds_by_kind.get(kind, 0.0) + time * scale
     if renderer.plan.truth:
         clock.lap()
         for _ in range(2):  # twice if compilation may have taken much of the first run's time
@@ -124,7 +129,9 @@ def _steps(film: Film) -> list[_FramePart]:
     for strip, parts in strips:
         *earlier, last = parts
         numbers = enumerate((last, *sorted(earlier, key=_spread)))
-        rounds += ((turn, _FramePart(strip, number, parts[number], number == last)) for turn, number in numbers)
+        for turn, number in numbers:
+            part = _FramePart(strip, number, parts[number], number == film.samples, number == last)
+            rounds.append((turn, part))
     return [step for _, step in sorted(rounds, key=itemgetter(0))]
 
 
@@ -134,29 +141,30 @@ def _spread(number: int) -> float:
 
 def _run_steps(
     renderer: Renderer, index: int, seconds: float, clock: _Clock
-) -> tuple[Film, dict[Kind, float], list[_FramePart]]:
-    """Run steps for `seconds`; returns the film, the seconds of each kind of pass, and the steps that were measured.
+) -> tuple[Film, dict[tuple[Kind, bool], float], list[_FramePart]]:
+    """Run steps for `seconds`; returns the film, seconds by kind of pass and `still`, and the steps measured.
 
     The first step runs once before it is measured, because kernels are compiled at their first run.
     """
-    film, done, spent = renderer.begin(index), list[_FramePart](), dict[Kind, float]()
-    for step in _steps(film):
+    film, done, spent = renderer.begin(index), list[_FramePart](), dict[tuple[Kind, bool], float]()
+    steps = _steps(film)
+    for step in steps:
 
         def note(kind: Kind, step: _FramePart = step) -> None:
             if step.last or kind not in ONCE_A_FRAME:
-                spent[kind] = spent.get(kind, 0.0) + clock.lap()
+                spent[kind, step.still] = spent.get((kind, step.still), 0.0) + clock.lap()
 
         if not done:
             renderer.add(film, step.strip, step.number)
         clock.lap()
         renderer.add(film, step.strip, step.number, note)
         done.append(step)
-        if sum(spent.values()) > seconds:
+        if sum(spent.values()) > seconds and {step.still for step in done} == {step.still for step in steps}:
             break
     return film, spent, done
 
 
-def _rows(steps: list[_FramePart], kind: Kind) -> int:
-    """Number of rows that passes of a kind process in these steps."""
-    parts = [step.part for step in steps if step.last or kind not in ONCE_A_FRAME]
+def _rows(steps: list[_FramePart], kind: Kind, still: bool) -> int:
+    """Number of rows that passes of a kind process in those of these steps with this value of `still`."""
+    parts = [step.part for step in steps if step.still == still and (step.last or kind not in ONCE_A_FRAME)]
     return sum(part.height if kind in BY_HEIGHT else part.rows for part in parts)

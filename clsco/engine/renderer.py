@@ -25,6 +25,7 @@ from clsco.optics.lens import Lens
 from clsco.optics.lens_path import camera_at, reference_camera
 from clsco.optics.point_spread import exposure_factor
 from clsco.optics.sensor import camera_word
+from clsco.optics.visibility import OcclusionGroup
 from clsco.passes.job import SceneJob
 from clsco.passes.pack import camera_grid, towards
 from clsco.passes.placed import PlacedScene
@@ -113,8 +114,25 @@ class Renderer:
         stream = camera_word(film.index, self.plan.eye) if number == max(parts) else None
         return SceneJob(
             strip=part, grid=grid, events=film.events, bounds=film.bounds.get(number), sample=sample, weights=weights,
-            is_first=number == min(parts), whole_strip=strip, noise_stream=stream,
+            is_first=number == min(parts), whole_strip=strip, noise_stream=stream, changes=self._changes(film, number),
         )  # fmt: skip
+
+    def _changes(self, film: Film, number: int) -> dict[OcclusionGroup, tuple[Any, ...] | None]:
+        """Value of `SceneJob.changes` for a time sample, or for the still sources after the last one."""
+        plan = self.plan
+        if plan.splits_still and not film.changes:
+            from clsco.optics.still import map_changes
+
+            samples = [self.scene.at(time) for time in film.times]
+            poses, surfaces = zip(*((sample.poses, sample.placed) for sample in samples), strict=True)
+            for group in plan.groups:
+                changes = map_changes(group, poses, surfaces, samples[0].camera, plan.psf.extent, plan.guard_px)
+                film.changes[group] = self.scene.hold(changes), bool((changes > 0).any())
+        changing = number < film.samples
+        return {
+            group: None if changing and not some else (changes, np.int32(changing))
+            for group, (changes, some) in film.changes.items()
+        }
 
     def _grid(self, strip: Strip) -> Struct:
         """grid_t of a strip, or of a part of it."""
@@ -223,13 +241,14 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     films = [renderer.begin(index) for renderer in renderers]
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
-    strip_parts, done = films[0].strip_parts, 0
-    total = sum(map(len, strip_parts.values()))
-    for strip, parts in strip_parts.items():
-        for number in parts:
+    steps = {strip: sorted({n for film in films for n in film.strip_parts[strip]}) for strip in films[0].strip_parts}
+    total, done = sum(map(len, steps.values())), 0
+    for strip, numbers in steps.items():
+        for number in numbers:
             before = [event for film in films for _, event in film.events[-1:]]
             for renderer, film in zip(renderers, films, strict=True):
-                renderer.add(film, strip, number)
+                if number in film.strip_parts[strip]:
+                    renderer.add(film, strip, number)
             if (progress := session.progress) is not None:
                 for event in before:  # events of the previous time sample, so that cancellation is quick
                     event.wait()

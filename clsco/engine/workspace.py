@@ -153,10 +153,11 @@ class BlurWorkspace(Workspace):
         prepare_sources(self._target, job.grid, self._blurred.struct, image.maps, source, job.events, rims)
         return (Sources(source, image.value, **behind),)
 
-    def blur(self, job: Job, _: Pass, sources: Sources, plane: Plane | None = None) -> Outputs:
+    def blur(self, job: Job, _: Pass, sources: Sources | None, plane: Plane | None = None) -> Outputs:
         if plane is None:
             self._blurred.begin(job.grid)
-        self._blurred.add(sources, job.events)
+        if sources is not None:
+            self._blurred.add(sources, job.events)
         return (self._blurred.plane(job.events),)
 
     def cluster(self, job: Job, step: Pass, image: Image | tuple[Image, ...]) -> Outputs:
@@ -214,10 +215,12 @@ class PlaneWorkspace(BlurWorkspace):
         return super().run_pass(job, step, *inputs)
 
     def trace(self, job: SceneJob, step: Pass) -> Outputs:
+        if job.changes.get(step.group, ()) is None:
+            return (None,)
         return (self._for_blur(job, self.tracer.trace(job, step.group)),)
 
-    def silhouettes(self, job: SceneJob, step: Pass, sources: Sources) -> Outputs:
-        return (self.tracer.silhouettes(job, step.group, sources),)
+    def silhouettes(self, job: SceneJob, step: Pass, sources: Sources | None) -> Outputs:
+        return (None if sources is None else self.tracer.silhouettes(job, step.group, sources),)
 
     def pinhole(self, job: SceneJob, _: Pass) -> Outputs:
         return (self._for_blur(job, self.tracer.pinhole(job)),)

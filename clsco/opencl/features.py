@@ -17,6 +17,7 @@ FEATURES = {
     "TEXTURED": "textures lie on surfaces: 1 with coordinates that are linear in a point, 2 with any",
     "LIT": "channels that a light falls on",
     # Sources
+    "DIVIDED": "still sources are blurred once for all time samples",
     "SUBPIXELS": "sources along an axis of a pixel at a silhouette",
     "SMALL": "some surfaces have narrow images",
     "TILT": "the slope of the surface changes the weights of its blur",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -12,6 +14,7 @@ from clsco.frame.strips import Strip
 from clsco.opencl.program import Events
 from clsco.optics.motion import Pose
 from clsco.optics.quadrics import PlacedSurface
+from clsco.optics.visibility import OcclusionGroup
 from clsco.records import Struct
 from clsco.scene.model import Camera
 
@@ -57,7 +60,9 @@ class SceneJob(Job):
     whole_strip: a strip of the frame; the inherited `strip` is the part of it in which the time sample has a weight.
     weights: weights of the time sample in the rows of `strip`, or in all columns of the frame. is_first: True for the
     first time sample of `whole_strip`, which begins the sum. noise_stream: `clsco.optics.sensor.camera_word` for the
-    last time sample of `whole_strip`, None for the earlier ones.
+    last time sample of `whole_strip`, None for the earlier ones. changes: for each occlusion group, kernel arguments:
+    its map of changes (`clsco.optics.still`), and 1 to make the sources that change, 0 for the others; None if it has
+    none of these. Empty if all sources of each time sample are made.
     """
 
     sample: TimeSample
@@ -65,3 +70,4 @@ class SceneJob(Job):
     is_first: bool
     whole_strip: Strip
     noise_stream: int | None = None
+    changes: Mapping[OcclusionGroup, tuple[Any, ...] | None] = field(default_factory=dict)

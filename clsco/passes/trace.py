@@ -133,27 +133,30 @@ class Tracer:
     def trace(self, job: SceneJob, group: OcclusionGroup) -> Sources:
         """Sources of one occlusion group; they overwrite those of the previous group."""
         plan, buffers, head = self.plan, self.buffers, self._head(job, group)
-        sizes = hit_buffers(plan.grid, plan.mapped > 0)
+        sizes, changes = hit_buffers(plan.grid, plan.mapped > 0), job.changes.get(group) or ()
         if self.hits is None:
             planes = tuple(buffers[name] for name in sizes)
-            self._cast(job, group, planes)
+            self._cast(job, group, planes, changes)
         else:
-            planes = self.hits.planes(sizes, self._key(job, group), lambda planes: self._cast(job, group, planes))
+            shared = (changes[0], np.int32(0)) if changes else ()  # casts all rays
+            planes = self.hits.planes(
+                sizes, self._key(job, group), lambda planes: self._cast(job, group, planes, shared)
+            )
         value, depth, label = planes
         source = buffers.get("source")
         out = (source, buffers["statistics"], self.extents, np.int32(plan.spare_px))
         maps = (value, self.scene.texture_maps, buffers.get("share"))
         bends = self._bends(job, "slopes", "bends")
-        self._per_pixel("aim", job, *head, depth, label, *out, *maps, *bends)
+        self._per_pixel("aim", job, *head, depth, label, *out, *maps, *bends, *changes)
         occluders: dict[str, Any] = {}
         if plan.spec.occluders:
             occluders = {"lens": head[1], "surfaces": job.sample.surfaces, "group": head[3], "depth": depth}
         return Sources(source, value, label=label, bends=bends[-1] if plan.psf.stretched else None, **occluders)
 
-    def _cast(self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes) -> None:
+    def _cast(self, job: SceneJob, group: OcclusionGroup, planes: HitPlanes, changes: tuple[Any, ...]) -> None:
         """Enqueue the kernel that casts the rays of one occlusion group, which are the same for all lenses."""
         grid, _, surfaces, members, _ = self._head(job, group)
-        args = (*self._appearance(job), *planes, *self._bends(job, "slopes"))
+        args = (*self._appearance(job), *planes, *self._bends(job, "slopes"), *changes)
         self._per_pixel("cast", job, grid, surfaces, members, *args)
 
     def silhouettes(self, job: SceneJob, group: OcclusionGroup, sources: Sources) -> Sources:
@@ -173,7 +176,7 @@ class Tracer:
             run("trace_small", size, PIXELS[:1], job.events, *slotted, source, *subs, depth, statistics)
         value = sources.value
         if "sharper" in buffers:
-            run("trace_detail", size, PIXELS[:1], job.events, *slotted, *subs, depth, statistics)
+            run("trace_detail", size, PIXELS[:1], job.events, *slotted, source, *subs, depth, statistics)
             value = buffers["sharper"]
             self._per_pixel("sharpen", job, job.grid, sources.value, buffers["share"], source, value)
         return replace(sources, value=value, sub_source=subs[0], sub_value=subs[1], capacity=room, sub_depth=depth)

@@ -5,17 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
+
 from clsco.errors import SceneError
 from clsco.frame.outputs import ALL_TRUTH, OUTPUTS, SENSOR_NAMES, Group
-from clsco.optics.exposure import subframes_of
-from clsco.optics.quadrics import Extent
+from clsco.optics.exposure import frame_exposure, subframes_of
+from clsco.optics.lens_path import reference_camera
+from clsco.optics.motion import poses_at
+from clsco.optics.quadrics import Extent, place
 from clsco.optics.resolved_view import ResolvedView
 from clsco.optics.visibility import OcclusionGroup
 from clsco.plan.device import DeviceFacts
-from clsco.plan.methods import Blur, Choice, Occlusion, choose_blur
+from clsco.plan.methods import MANY_RADII, Blur, Choice, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
+FEW_SAMPLES = 3  # most time samples that always have all their sources
+MOST_CHANGES = 0.7  # largest share of the frame that changes while still sources are blurred once
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
@@ -54,6 +60,7 @@ class Choices:
     color: Choice[bool]
     occlusion: Choice[Occlusion]
     ground_truth: Choice[tuple[str, ...]]  # outputs besides color and alpha
+    still_sources: Choice[bool]  # blur sources that all time samples share once
     other_outputs: Choice[bool]  # False if only some outputs are requested; the reason names the others
 
     @property
@@ -104,9 +111,10 @@ def choose(
         color=Choice(True) if channels > 1 else Choice(False, "gray texture: one channel"),
         occlusion=occlusion,
         ground_truth=truth,
+        still_sources=Choice(True),
         other_outputs=other_outputs,
     )
-    return choices, groups, extents
+    return replace(choices, still_sources=choose_still_sources(view, choices, groups)), groups, extents
 
 
 def choose_samples(view: ResolvedView) -> Choice[int]:
@@ -222,6 +230,36 @@ def choose_border(view: ResolvedView) -> tuple[Choice[bool], Choice[bool]]:
         return Choice(True), Choice(False, "light stays inside the frame")
     beyond = "the mirrored map" if view.is_static_map else "surface"
     return Choice(False, 'border = "lose"'), Choice(True, f"{beyond} outside the frame lights it")
+
+
+def choose_still_sources(
+    view: ResolvedView, choices: Choices, groups: tuple[OcclusionGroup, ...]
+) -> Choice[bool]:  # fmt: skip
+    """Decide whether to blur sources that all time samples share once."""
+    scene, samples = view.scene, choices.motion.value
+    if samples <= FEW_SAMPLES:
+        return Choice(True) if not samples else Choice(False, "few time samples")
+    if not choices.trace.value or choices.occlusion.value == "layered" or choices.blur.value not in MANY_RADII:
+        return Choice(False, "sources are not made one by one from rays")
+    if scene.camera.moves or scene.lens_moves:
+        return Choice(False, "the camera or its lens changes")
+    if scene.shifts_colors or (scene.lens is not None and scene.lens.distorts):
+        return Choice(False, "the lens distorts the image")
+    if "subframes" in choices.ground_truth.value:
+        return Choice(False, "each sub-frame needs all sources")
+    from clsco.optics.still import map_changes
+
+    times = frame_exposure(scene, 0, samples).times
+    poses = [poses_at(scene, time, view.eye) for time in times.tolist()]
+    surfaces = [[place(*pair) for pair in zip(scene.objects, each, strict=True)] for each in poses]
+    changing = total = 0
+    for group in groups:
+        changes = map_changes(group, poses, surfaces, reference_camera(scene), view.psf.extent, view.guard)
+        w = view.w[[k for k in range(len(scene.objects)) if group.members >> k & 1], 0].max(axis=0)
+        places = (np.linspace(0, size - 1, len(w)).round().astype(int) for size in changes.shape)
+        total, changing = total + (w > 0).sum(), changing + ((w > 0) & (w <= changes[np.ix_(*places)])).sum()
+    share = float(changing / max(total, 1))
+    return Choice(True) if share <= MOST_CHANGES else Choice(False, f"{share:.0%} of the sources may change")
 
 
 def choose_truth(view: ResolvedView, request: Request) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:

@@ -262,6 +262,11 @@ class Plan:
         """Passes that each time sample runs in this order; those in ONCE_A_FRAME run once per frame."""
         return _passes(self)
 
+    @property
+    def splits_still(self) -> bool:
+        """True if sources that all time samples share are blurred once."""
+        return self.moves and self.averages and self.choices.still_sources.value
+
     def features(self) -> dict[str, int]:
         """Compile-time features of the kernels that cast rays."""
         scene, spec = self.scene, self.spec
@@ -276,6 +281,7 @@ class Plan:
             "FILTER": FILTERS[scene.motion.texture_filter] if self.choices.texture_sampling.value else 0,
             "TEXTURED": self.mapped,
             "LIT": 0 if scene.light is None else self.channels - self.alpha,
+            "DIVIDED": int(self.splits_still),
             "TILT": int(self.tilt),
             "SUBPIXELS": self.silhouettes,
             "SMALL": int(self.small),

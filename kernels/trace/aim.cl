@@ -1,6 +1,7 @@
 // Makes sources of the hits of `cast` for a lens. Planes: cast.cl. Twin: clsco/reference/trace/trace.py. Host:
 // clsco/passes/trace.py.
 
+#include "trace/changes.clh"
 #include "trace/record.clh"
 #include "trace/small.clh"
 #if TEXTURED && SUBPIXELS
@@ -31,7 +32,7 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
                   const psf_t psf, __global const real *depth, __global uchar *label, __global float *source,
                   __global int *statistics, __constant real *extents, const int spare,
                   __global const float *value, __constant texture_map_t *maps,
-                  __global float *share OF_SLOPES OF_BENDS) {
+                  __global float *share OF_SLOPES OF_BENDS OF_CHANGES) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -57,6 +58,11 @@ __kernel void aim(const grid_t grid, const lens_t lens, __constant surface_t *su
     const ulong small = needed ? small_members(grid, surfaces, group, row, column) : 0;
     if (small || (needed && is_hidden_by_small(grid, surfaces, group, row, column, hit ? depth[at] : 0)))
         record.w = as_float(SMALL_WITHIN - (int)popcount(small));
+#endif
+#if DIVIDED
+    const bool within = as_int(record.w) <= SMALL_WITHIN;
+    if (is_changing(grid, changes, depth, label, within, x, y) != (changing != 0))
+        record.x = ELSEWHERE;
 #endif
     if (source)
         put_source(source, grid.height * grid.width, at, record);

@@ -12,13 +12,14 @@
 // Square roots and floors as single instructions took a plane from 36 to 12 ns per pixel; casting once for all lenses
 // of a sweep took the prepass from 31 to 6 ns, plus 20 per lens.
 
+#include "trace/changes.clh"
 #include "trace/texture.clh"
 
 // Casts rays through all pixels of frame and apron at the objects of an occlusion group, for all lenses. Out: value,
 // depth, label. With textures on surfaces, value has one more plane: the result of `surface_texture`.
 __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const group_t group,
                    __global const float *texture, __constant texture_map_t *maps OF_LIGHT, __global float *value,
-                   __global real *depth, __global uchar *label OF_SLOPES) {
+                   __global real *depth, __global uchar *label OF_SLOPES OF_CHANGES) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= grid.width || y >= grid.height)
         return;
@@ -26,6 +27,12 @@ __kernel void cast(const grid_t grid, __constant surface_t *surfaces, const grou
     const real3 ray = KEPT_RAY(grid, at, row, column);
     uchar root;
     int object;
+#if DIVIDED
+    if (changing && still_from(grid, changes, x, y) == -INFINITY) {
+        depth[at] = label[at] = 0;
+        return;
+    }
+#endif
     const real w = nearest_surface(surfaces, group, ray, &root, &object);
     depth[at] = w;
     label[at] = root;

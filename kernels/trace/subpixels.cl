@@ -1,5 +1,6 @@
 // Makes the sub-pixel sources of pixels that silhouettes.cl has marked. Planes, twin and host: cast.cl.
 
+#include "trace/changes.clh"
 #include "trace/record.clh"
 #include "trace/small.clh"
 #include "trace/texture.clh"
@@ -8,6 +9,13 @@
 #endif
 
 #if SUBPIXELS
+// Empties the slot of a pixel whose sources belong to the other part of the exposure; returns False for another pixel.
+static bool is_elsewhere(__global const float *source, int pixel, int slot, __global float4 *sub_source) {
+    for (int sub = 0; sub < EACH && source[pixel] == ELSEWHERE; ++sub)
+        sub_source[slot * EACH + sub] = (float4)(-1, 0, 0, as_float(WHOLE));
+    return source[pixel] == ELSEWHERE;
+}
+
 // Makes point sources of these cells, beside outlines of the part of a cell that its surface covers, see outline.clh.
 // In: source, sub_label, sub_depth. Out: sub_source float4 (coordinate, tilt right, tilt down, mark), sub_value float
 // (CHANNELS, slots, SUBPIXELS^2), sub_depth.
@@ -26,6 +34,10 @@ __kernel void trace_subpixels(const grid_t grid, const lens_t lens, __constant s
 #if SMALL
     if (slot != FIRST_SLOT(as_int(marks[pixel])))
         return;  // of a small surface
+#endif
+    if (is_elsewhere(source, pixel, slot, sub_source))
+        return;
+#if SMALL
     float left[EACH];
     leave_cells(grid, surfaces, group, row, column, left LIGHT);
 #endif
@@ -84,7 +96,7 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
         return;
     const int pixel = pixels[slot], row = FRAME_ROW(grid, pixel / grid.width), column = pixel % grid.width - grid.guard;
     const int mark = as_int(MARKS(source, grid.height * grid.width)[pixel]), number = slot - FIRST_SLOT(mark);
-    if (number < 1 || number > mark >> SLOT_BITS)
+    if (number < 1 || number > mark >> SLOT_BITS || is_elsewhere(source, pixel, slot, sub_source))
         return;
     ulong small = small_members(grid, surfaces, group, row, column);
     for (int i = 1; i < number; ++i)
@@ -118,12 +130,15 @@ __kernel void trace_small(const grid_t grid, const lens_t lens, __constant surfa
 // Makes the point sources of pixels that are marked for their textures alone, see detail.clh.
 __kernel void trace_detail(const grid_t grid, const lens_t lens, __constant surface_t *surfaces, const group_t group,
                            const psf_t psf, __global const float *texture, __constant texture_map_t *maps OF_LIGHT,
-                           __global const int *pixels, const int capacity, __global float4 *sub_source,
-                           __global float *sub_value, __global real *sub_depth, __global int *statistics) {
+                           __global const int *pixels, const int capacity, __global const float *source,
+                           __global float4 *sub_source, __global float *sub_value, __global real *sub_depth,
+                           __global int *statistics) {
     const int slot = get_global_id(0);
     if (slot >= MIN(statistics[STATISTIC_SLOTS], capacity) || pixels[slot] >= 0)
         return;
     const int code = -1 - pixels[slot], at = code / 2, fine = code & 1, parts = fine ? FINE_PARTS : FEW_PARTS;
+    if (is_elsewhere(source, at, slot, sub_source))
+        return;
     const int row = FRAME_ROW(grid, at / grid.width), column = at % grid.width - grid.guard;
     const real3 ray = pixel_ray(grid, row, column);
     uchar root;

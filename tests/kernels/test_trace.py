@@ -167,7 +167,7 @@ def planned(wanted: Scene, channels: int, samples: int | None = None, eye: Eye =
 
 def built(session: Session, plan: Plan, real: Real) -> Target:
     """All kernels in one target, so that few have to be compiled."""
-    return Target(session, TRACE_FILES, plan.features() | {"GATHER": 0}, real)
+    return Target(session, TRACE_FILES, plan.features() | {"GATHER": 0, "DIVIDED": 0}, real)
 
 
 def on_device(session: Session, plan: Plan, time: float, real: Real, eye: Eye | None = None) -> cl.Buffer:

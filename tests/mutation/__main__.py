@@ -101,6 +101,7 @@ TESTS = {
     "trace/bend.cl": "pipeline/test_distortion pipeline/test_real_lens",
     "trace/truth.cl": "kernels/test_trace kernels/test_trace_kernels",
     "trace/cast.cl": "kernels/test_trace_kernels kernels/test_trace pipeline/test_scenes",
+    "trace/changes.clh": "pipeline/test_still_sources",
     "trace/aim.cl": "kernels/test_trace_kernels kernels/test_trace kernels/test_geometry pipeline/test_views",
     "trace/record.clh": "kernels/test_trace_kernels kernels/test_trace kernels/test_geometry pipeline/test_views",
     "trace/silhouettes.cl": "kernels/test_trace_kernels kernels/test_trace",

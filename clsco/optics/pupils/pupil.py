@@ -40,7 +40,7 @@ class Pupil(ABC):
     """
 
     uniform: ClassVar[bool] = False  # constant transmission inside the edge
-    soft: ClassVar[bool] = False  # a transmission that falls off towards the edge
+    soft: ClassVar[bool] = False  # a Gaussian that falls off towards the edge, with `lengths["sigma"]`
     hollow: ClassVar[bool] = False  # constant transmission between an inner and an outer edge
     has_plain_rim: ClassVar[bool] = True  # constant inside a circle or straight edges, which give mean lens points
     bends_rays: ClassVar[bool] = False  # rays do not arrive at R l, because of wavefront errors
