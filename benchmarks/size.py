@@ -17,9 +17,9 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 44_000,
-    "lines of kernels": 9_310,
-    "lines of tests": 43_130,
+    "lines of clsco/*.py": 44_140,
+    "lines of kernels": 9_375,
+    "lines of tests": 43_205,
     "words of documentation": 25_000,
     "wheel, kB": 2_230,
     "kernel programs of the tests": 300,
