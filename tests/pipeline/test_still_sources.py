@@ -20,7 +20,7 @@ from clsco.plan.request import Request
 from clsco.scene.model import Scene
 from tests.scenes import rendered, scene_from
 
-CAMERA = {"resolution": [72, 48], "pixel_pitch": 0.08, "focal_length": 20.0, "aperture_diameter": 14.0}
+CAMERA = {"resolution": [144, 96], "pixel_pitch": 0.04, "focal_length": 20.0, "aperture_diameter": 6.0}
 CAMERA |= {"focus_distance": 260.0}
 WALL = {"shape": "plane", "distance": 330.0, "texture": "checkerboard"}
 CARD: dict[str, Any] = {"shape": "rectangle", "center": [-14.0, 4.0, 262.0], "size": [46.0, 50.0], "texture": "bricks"}
@@ -74,7 +74,7 @@ def test_the_frames_are_those_of_the_plain_sum(name: str, plain: Callable[..., l
 
 @pytest.mark.usefixtures("always")
 def test_strips_have_the_bits_of_the_whole_frame() -> None:
-    chosen = scene("a ball that passes", camera={"resolution": [40, 200], "pixel_pitch": 0.05})
+    chosen = scene("a ball that passes", camera={"resolution": [40, 200], "pixel_pitch": 0.05, "aperture_diameter": 14.0})
     plan = prepare(chosen, Request(truth=()), choose()).plan
     assert plan.splits_still
     memory = device_bytes(replace(plan, strip_rows=BAND))
