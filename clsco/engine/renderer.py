@@ -242,7 +242,8 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
     if {step.kind for step in plan.passes} <= {"ground truth"}:
         return films
     steps = {strip: sorted({n for film in films for n in film.strip_parts[strip]}) for strip in films[0].strip_parts}
-    total, done = sum(map(len, steps.values())), 0
+    samples = films[0].samples
+    total, done = sum(number < samples for numbers in steps.values() for number in numbers), 0
     for strip, numbers in steps.items():
         for number in numbers:
             before = [event for film in films for _, event in film.events[-1:]]
@@ -253,7 +254,7 @@ def expose(renderers: Sequence[Renderer], index: int) -> list[Film]:
                 for event in before:  # events of the previous time sample, so that cancellation is quick
                     event.wait()
                 progress.done, progress.total = done, total
-            done += 1
+            done += number < samples  # still sources are no time sample
         for film in films:
             film.read(session)
     return films

@@ -74,7 +74,8 @@ def test_the_frames_are_those_of_the_plain_sum(name: str, plain: Callable[..., l
 
 @pytest.mark.usefixtures("always")
 def test_strips_have_the_bits_of_the_whole_frame() -> None:
-    chosen = scene("a ball that passes", camera={"resolution": [40, 200], "pixel_pitch": 0.05, "aperture_diameter": 14.0})
+    camera = {"resolution": [40, 200], "pixel_pitch": 0.05, "aperture_diameter": 14.0}
+    chosen = scene("a ball that passes", camera=camera)
     plan = prepare(chosen, Request(truth=()), choose()).plan
     assert plan.splits_still
     memory = device_bytes(replace(plan, strip_rows=BAND))

@@ -103,7 +103,7 @@ def test_focus_peaking_marks_edges_that_are_sharp(page: Any) -> None:
     page.locator("#peaking").check()
     until_drawn(page, RED, 20)
     page.locator("#peaking").uncheck()
-    assert page.evaluate(COLORED, RED) == []
+    page.wait_for_function(f"({COLORED})({RED}).length === 0")
 
 
 def test_this_picture_is_saved_as_it_is(page: Any, tmp_path: Path) -> None:
