@@ -121,12 +121,13 @@ class Renderer:
         """Value of `SceneJob.changes` for a time sample, or for the still sources after the last one."""
         plan = self.plan
         if plan.splits_still and not film.changes:
-            from clsco.optics.still import map_changes
+            from clsco.optics.still import map_changes, moving_objects
 
             samples = [self.scene.at(time) for time in film.times]
             poses, surfaces = zip(*((sample.poses, sample.placed) for sample in samples), strict=True)
+            where = moving_objects(poses), surfaces, samples[0].camera, plan.psf.extent, plan.guard_px
             for group in plan.groups:
-                changes = map_changes(group, poses, surfaces, samples[0].camera, plan.psf.extent, plan.guard_px)
+                changes = map_changes(group, *where)
                 film.changes[group] = self.scene.hold(changes), bool((changes > 0).any())
         changing = number < film.samples
         return {

@@ -9,6 +9,7 @@ spread by D (w - u), for the largest aperture radius D in mm.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -25,24 +26,28 @@ Changes = NDArray[np.float32]
 CHANGE_MARGIN = 4  # px; sub-pixel sources depend on labels up to 2 px away, and these on those of the next pixel
 
 
+def moving_objects(poses: Sequence[Sequence[Pose]]) -> frozenset[int]:
+    """Numbers of the objects that are not in the same pose at all time samples."""
+    return frozenset(k for k, each in enumerate(zip(*poses, strict=True)) if any(map(partial(_differ, each[0]), each)))
+
+
 def map_changes(
-    group: OcclusionGroup, poses: Sequence[Sequence[Pose]], surfaces: Sequence[Sequence[PlacedSurface]],
+    group: OcclusionGroup, moving: frozenset[int], surfaces: Sequence[Sequence[PlacedSurface]],
     camera: Camera, reach: float, guard: int,
 ) -> Changes:  # fmt: skip
     """Least inverse depth in 1/mm at which a group's source is still, in tiles of CHANGE_TILE px over frame and guard
     band, of which one begins at row and column 0 of the frame.
 
-    Infinite where outlines may change, -1 in tiles beside those with changing sources, and -inf in all others. poses,
-    surfaces: of all objects at each time sample; camera: does not move, and has a resolution; reach: extent of the lens
-    in lens radii; guard: width of the guard band, px.
+    Infinite where outlines may change, -1 in tiles beside those with changing sources, and -inf in all others. moving:
+    of `moving_objects`; surfaces: of all objects at each time sample; camera: does not move, and has a resolution;
+    reach: extent of the lens in lens radii; guard: width of the guard band, px.
     """
     size, step, before = Lens.of(camera).radius * reach, ray_step(camera), -(-guard // CHANGE_TILE)
     corners = [CHANGE_TILE * np.arange(-before, before - (-length // CHANGE_TILE)) for length in camera.frame_size]
-    moving = [k for k, each in enumerate(zip(*poses, strict=True)) if not all(_same_pose(each[0], p) for p in each)]
     still = [s.extent.w[0] for k, s in enumerate(surfaces[0]) if group.members >> k & 1 and k not in moving]
     least = np.full((len(corners[1]), len(corners[0])), -inf)
     for placed in surfaces:
-        for k in moving:
+        for k in (k for k in moving if (group.members | group.occluders) >> k & 1):
             ends = placed[k].extent.x, (-placed[k].extent.y[1], -placed[k].extent.y[0])
             x, y = (
                 np.maximum(low / step - (corner + CHANGE_TILE - middle), corner - middle - high / step)
@@ -66,5 +71,5 @@ def _middle(camera: Camera) -> tuple[float, float]:
     return 0.5 * columns, 0.5 * rows
 
 
-def _same_pose(one: Pose, other: Pose) -> bool:
-    return np.array_equal(one.rotation, other.rotation) and np.array_equal(one.shift, other.shift)
+def _differ(one: Pose, other: Pose) -> bool:
+    return one is not other and bool((one.rotation != other.rotation).any() or (one.shift != other.shift).any())

@@ -247,14 +247,15 @@ def choose_still_sources(
         return Choice(False, "the lens distorts the image")
     if "subframes" in choices.ground_truth.value:
         return Choice(False, "each sub-frame needs all sources")
-    from clsco.optics.still import map_changes
+    from clsco.optics.still import map_changes, moving_objects
 
     times = frame_exposure(scene, 0, samples).times
     poses = [poses_at(scene, time, view.eye) for time in times.tolist()]
-    surfaces = [[place(*pair) for pair in zip(scene.objects, each, strict=True)] for each in poses]
+    moving, rest = moving_objects(poses), [place(*pair) for pair in zip(scene.objects, poses[0], strict=True)]
+    surfaces = [[place(scene.objects[k], each[k]) if k in moving else s for k, s in enumerate(rest)] for each in poses]
     changing = total = 0
     for group in groups:
-        changes = map_changes(group, poses, surfaces, reference_camera(scene), view.psf.extent, view.guard)
+        changes = map_changes(group, moving, surfaces, reference_camera(scene), view.psf.extent, view.guard)
         w = view.w[[k for k in range(len(scene.objects)) if group.members >> k & 1], 0].max(axis=0)
         places = (np.linspace(0, size - 1, len(w)).round().astype(int) for size in changes.shape)
         total, changing = total + (w > 0).sum(), changing + ((w > 0) & (w <= changes[np.ix_(*places)])).sum()
