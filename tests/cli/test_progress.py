@@ -64,7 +64,7 @@ def test_programs_get_lines_of_json(tmp_path: Path) -> None:
 
 def test_lines_of_json_tell_the_position_within_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("clsco.cli.progress.WITHIN_S", 0.01)
-    scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nsamples = 9\n{PLANE}motion.velocity = [9.0, 0.0, 0.0]\n")
+    scene = scene_file(tmp_path / "scene.toml", f"[sequence]\nsamples = 64\n{PLANE}motion.velocity = [9.0, 0.0, 0.0]\n")
     result = done("render", scene, "-o", tmp_path / "out", "--progress", "json")
     said = [json.loads(line) for line in result.stderr.splitlines()]
     within = [each for each in said if "step" in each]
