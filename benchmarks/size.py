@@ -17,7 +17,7 @@ from rich.table import Table
 
 ROOT = Path(__file__).parents[1]
 BUDGET = {
-    "lines of clsco/*.py": 44_145,
+    "lines of clsco/*.py": 44_150,
     "lines of kernels": 9_375,
     "lines of tests": 43_205,
     "words of documentation": 25_000,

@@ -20,8 +20,9 @@ from clsco.plan.methods import MANY_RADII, Blur, Choice, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
-FEW_SAMPLES = 3  # most time samples that always have all their sources
-MOST_CHANGES = 0.7  # largest share of the frame that changes while still sources are blurred once
+# By method of occlusion, the least number of time samples' worth of still sources that are blurred once: what is saved
+# has to outweigh their own pass.
+LEAST_SAVED: dict[Occlusion, float] = {"none": 4.5, "visibility": 3.0}
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
@@ -236,10 +237,11 @@ def choose_still_sources(
     view: ResolvedView, choices: Choices, groups: tuple[OcclusionGroup, ...]
 ) -> Choice[bool]:  # fmt: skip
     """Decide whether to blur sources that all time samples share once."""
-    scene, samples = view.scene, choices.motion.value
-    if samples <= FEW_SAMPLES:
-        return Choice(True) if not samples else Choice(False, "few time samples")
-    if not choices.trace.value or choices.occlusion.value == "layered" or choices.blur.value not in MANY_RADII:
+    scene = view.scene
+    if not scene.moves:
+        return Choice(True)
+    least = LEAST_SAVED.get(choices.occlusion.value)
+    if not choices.trace.value or least is None or choices.blur.value not in MANY_RADII:
         return Choice(False, "sources are not made one by one from rays")
     if scene.camera.moves or scene.lens_moves:
         return Choice(False, "the camera or its lens changes")
@@ -249,7 +251,7 @@ def choose_still_sources(
         return Choice(False, "each sub-frame needs all sources")
     from clsco.optics.still import map_changes, moving_objects
 
-    times = frame_exposure(scene, 0, samples).times
+    times = frame_exposure(scene, 0, choices.motion.value).times
     poses = [poses_at(scene, time, view.eye) for time in times.tolist()]
     moving, rest = moving_objects(poses), [place(*pair) for pair in zip(scene.objects, poses[0], strict=True)]
     surfaces = [[place(scene.objects[k], each[k]) if k in moving else s for k, s in enumerate(rest)] for each in poses]
@@ -260,7 +262,8 @@ def choose_still_sources(
         places = (np.linspace(0, size - 1, len(w)).round().astype(int) for size in changes.shape)
         total, changing = total + (w > 0).sum(), changing + ((w > 0) & (w <= changes[np.ix_(*places)])).sum()
     share = float(changing / max(total, 1))
-    return Choice(True) if share <= MOST_CHANGES else Choice(False, f"{share:.0%} of the sources may change")
+    enough = len(times) * (1.0 - share) >= least
+    return Choice(True) if enough else Choice(False, f"{share:.0%} of the sources of {len(times)} samples may change")
 
 
 def choose_truth(view: ResolvedView, request: Request) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:

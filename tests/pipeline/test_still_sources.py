@@ -47,7 +47,7 @@ def scene(name: str, **sections: Any) -> Scene:
 @pytest.fixture
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Splits the sources even if most may change, as in small frames."""
-    monkeypatch.setattr(decisions, "MOST_CHANGES", 1.0)
+    monkeypatch.setattr(decisions, "LEAST_SAVED", {"none": 0.0, "visibility": 0.0})
 
 
 @pytest.fixture
@@ -87,7 +87,7 @@ def test_strips_have_the_bits_of_the_whole_frame() -> None:
 REASONS: dict[str, tuple[dict[str, Any], list[dict[str, Any]]]] = {
     "the camera": ({"camera": {**CAMERA, "motion": {"velocity": [1.0, 0.0, 0.0]}}}, [BALL, WALL]),
     "one by one": ({"psf": {"occlusion": "layered"}}, [BALL, WALL]),
-    "few time samples": ({"sequence": {"samples": 2}}, [BALL, WALL]),
+    "of 2 samples": ({"sequence": {"samples": 2}}, [BALL, WALL]),
     "100%": ({}, [{"shape": "plane", "distance": 200.0, "motion": {"velocity": [0.0, 0.0, 9.0]}}, WALL]),
     "needs all sources": ({}, [BALL, WALL]),
 }
