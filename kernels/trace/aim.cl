@@ -1,7 +1,6 @@
 // Makes sources of the hits of `cast` for a lens. Planes: cast.cl. Twin: clsco/reference/trace/trace.py. Host:
 // clsco/passes/trace.py.
 
-#include "trace/changes.clh"
 #include "trace/record.clh"
 #include "trace/small.clh"
 #if TEXTURED && SUBPIXELS

@@ -1,6 +1,5 @@
 // Makes the sub-pixel sources of pixels that silhouettes.cl has marked. Planes, twin and host: cast.cl.
 
-#include "trace/changes.clh"
 #include "trace/record.clh"
 #include "trace/small.clh"
 #include "trace/texture.clh"
