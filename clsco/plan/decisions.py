@@ -251,8 +251,8 @@ def choose_still_sources(
         return Choice(False, "each sub-frame needs all sources")
     from clsco.optics.still import map_changes, moving_objects
 
-    times = frame_exposure(scene, 0, choices.motion.value).times
-    poses = [poses_at(scene, time, view.eye) for time in times.tolist()]
+    exposure = frame_exposure(scene, 0, choices.motion.value)
+    poses = [poses_at(scene, time, view.eye) for time in exposure.times.tolist()]
     moving, rest = moving_objects(poses), [place(*pair) for pair in zip(scene.objects, poses[0], strict=True)]
     surfaces = [[place(scene.objects[k], each[k]) if k in moving else s for k, s in enumerate(rest)] for each in poses]
     changing = total = 0
@@ -262,8 +262,9 @@ def choose_still_sources(
         places = (np.linspace(0, size - 1, len(w)).round().astype(int) for size in changes.shape)
         total, changing = total + (w > 0).sum(), changing + ((w > 0) & (w <= changes[np.ix_(*places)])).sum()
     share = float(changing / max(total, 1))
-    enough = len(times) * (1.0 - share) >= least
-    return Choice(True) if enough else Choice(False, f"{share:.0%} of the sources of {len(times)} samples may change")
+    samples = (exposure.weights.reshape(len(poses), -1) > 0.0).sum(axis=0).mean()  # in which a line is exposed
+    enough = samples * (1.0 - share) >= least
+    return Choice(True) if enough else Choice(False, f"{share:.0%} of the sources of {samples:.3g} samples may change")
 
 
 def choose_truth(view: ResolvedView, request: Request) -> tuple[Choice[tuple[str, ...]], Choice[bool]]:
