@@ -38,7 +38,7 @@ class Film:
         # Weight (samples, lines) of each time sample's blurred plane in each row of the frame, or in each column if
         # columns are exposed in turn; the frame is the weighted sum of the planes.
         self.weights = exposure.line_weights(lines)
-        self.samples = len(self.times)
+        self.samples = len(self.times)  # time samples
         if plan.splits_still:  # after all time samples, the still sources follow as one more
             self.times.append(self.times[0])
             self.weights = np.concatenate([self.weights, self.weights.sum(axis=0, keepdims=True)])

@@ -50,8 +50,8 @@ def map_changes(
         for k in (k for k in moving if (group.members | group.occluders) >> k & 1):
             ends = placed[k].extent.x, (-placed[k].extent.y[1], -placed[k].extent.y[0])
             x, y = (
-                np.maximum(low / step - (corner + CHANGE_TILE - middle), corner - middle - high / step)
-                for (low, high), corner, middle in zip(ends, corners, _middle(camera), strict=True)
+                np.maximum(low / step - (corner + CHANGE_TILE - 0.5 * length), corner - 0.5 * length - high / step)
+                for (low, high), corner, length in zip(ends, corners, camera.frame_size, strict=True)
             )
             away = np.maximum(x, y[:, None]) - CHANGE_MARGIN  # px
             if group.members >> k & 1:
@@ -63,12 +63,6 @@ def map_changes(
     near = np.pad(least, 1, constant_values=-inf)
     beside = np.maximum.reduce([near[i : i + len(least), j : j + least.shape[1]] for i in range(3) for j in range(3)])
     return np.where((least == -inf) & (beside > -inf), -1.0, least).astype(np.float32)
-
-
-def _middle(camera: Camera) -> tuple[float, float]:
-    """Column and row of the principal point, from the upper left corner of the frame, px."""
-    columns, rows = camera.frame_size
-    return 0.5 * columns, 0.5 * rows
 
 
 def _differ(one: Pose, other: Pose) -> bool:

@@ -133,6 +133,7 @@ FAULTS: dict[str, tuple[str, dict[str, Fault]]] = {
     "lines in the other order": ("rolling", {"clsco.optics.exposure.line_openings": altered(np.flip)}),
     "half an exposure": ("moving", {"clsco.engine.film.frame_exposure": changed(times=lambda times: 0.5 * times)}),
     "the left eye twice": ("stereo", {f"{PLACED}.poses_at": lambda right, scene, time, eye: right(scene, time)}),
+    "what moves is still": ("moving", {"clsco.optics.still._differ": always(False)}),
     "no rims": ("rims", {"clsco.optics.resolved_view.elliptic_spread": changed(rims=lambda _: ())}),
     "mipmaps that are coarser": ("laid", {"clsco.inputs.textures.mipmap": coarser} | NOT_KEPT),
     "red and blue exchanged": ("color", {f"{PLACED}.texture_planes": altered(mirrored)} | NOT_KEPT),
