@@ -20,9 +20,7 @@ from clsco.plan.methods import MANY_RADII, Blur, Choice, Occlusion, choose_blur
 from clsco.plan.request import Request
 from clsco.scene.model import Aperture, Fill, Scene
 
-# By method of occlusion, the least number of time samples' worth of still sources that are blurred once: what is saved
-# has to outweigh their own pass.
-LEAST_SAVED: dict[Occlusion, float] = {"none": 4.5, "visibility": 3.0}
+LEAST_SAVED = 3.0  # time samples' worth of still sources that are blurred once, which has to outweigh their own pass
 MOST_NAMED = 3  # largest number of objects whose time samples are reported
 WHOLE_PIXELS = "the forward warp moves whole pixels"
 NO_COLOR = "nobody asked for the color: neither its rays nor its blur"
@@ -240,8 +238,7 @@ def choose_still_sources(
     scene = view.scene
     if not scene.moves:
         return Choice(True)
-    least = LEAST_SAVED.get(choices.occlusion.value)
-    if not choices.trace.value or least is None or choices.blur.value not in MANY_RADII:
+    if not choices.trace.value or choices.occlusion.value == "layered" or choices.blur.value not in MANY_RADII:
         return Choice(False, "sources are not made one by one from rays")
     if scene.camera.moves or scene.lens_moves:
         return Choice(False, "the camera or its lens changes")
@@ -263,7 +260,7 @@ def choose_still_sources(
         total, changing = total + (w > 0).sum(), changing + ((w > 0) & (w <= changes[np.ix_(*places)])).sum()
     share = float(changing / max(total, 1))
     samples = (exposure.weights.reshape(len(poses), -1) > 0.0).sum(axis=0).mean()  # in which a line is exposed
-    enough = samples * (1.0 - share) >= least
+    enough = samples * (1.0 - share) >= LEAST_SAVED
     return Choice(True) if enough else Choice(False, f"{share:.0%} of the sources of {samples:.3g} samples may change")
 
 

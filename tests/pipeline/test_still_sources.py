@@ -47,7 +47,7 @@ def scene(name: str, **sections: Any) -> Scene:
 @pytest.fixture
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Splits the sources even if most may change, as in small frames."""
-    monkeypatch.setattr(decisions, "LEAST_SAVED", {"none": 0.0, "visibility": 0.0})
+    monkeypatch.setattr(decisions, "LEAST_SAVED", 0.0)
 
 
 @pytest.fixture
